@@ -1,0 +1,213 @@
+"""A recording: sensors, what they measured, and how it should be smoothed.
+
+This module is the data alone. ``geograph.io`` reads and writes it (docs/format.md).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from geograph.constants import SPEED_OF_LIGHT_M_S
+from geograph.errors import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from geograph.measurements import Bearings, Constraints, Truth
+    from geograph.sensors import Sensor
+
+Frame = Literal["ecef", "local"]
+MotionName = Literal[
+    "static",
+    "constant-position",
+    "constant-velocity",
+    "constant-acceleration",
+    "ballistic",
+    "orbital",
+]
+LossName = Literal["auto", "none", "huber", "cauchy", "geman-mcclure", "gnc"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmoothSettings:
+    """How a recording is smoothed; every value has a default that needs no thought.
+
+    Parameters
+    ----------
+    motion
+        Motion model of the path between knots.
+    process_noise
+        Square root of the spectral density of the white noise that drives the motion, SI: on
+        velocity (m/s^0.5) for constant-position, on acceleration (m/s^1.5) for constant-velocity,
+        ballistic and orbital, on jerk (m/s^2.5) for constant-acceleration. ``"auto"``: the value of
+        greatest marginal likelihood. Three numbers: one for each axis of the frame.
+    process_noise_along
+        The same along the velocity; ``process_noise`` is then that across it. None: isotropic.
+    spacing_s
+        Time between knots; None: chosen from the noise (docs/models.md).
+    loss
+        Loss of each measurement. ``"auto"`` is plain least squares unless gross outliers show,
+        which are then rejected by graduated non-convexity (``"gnc"``).
+    max_iterations
+        Limit of Levenberg-Marquardt iterations in one solve.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or a number out of range.
+    """
+
+    motion: MotionName = "constant-acceleration"
+    process_noise: float | tuple[float, float, float] | Literal["auto"] = "auto"
+    process_noise_along: float | None = None
+    spacing_s: float | None = None
+    loss: LossName = "auto"
+    max_iterations: int = 100
+
+    def __post_init__(self) -> None:
+        if self.motion not in get_args(MotionName):
+            raise InputError(
+                f"unknown motion {self.motion!r}; expected one of "
+                + ", ".join(get_args(MotionName)),
+                column="motion",
+            )
+        if self.loss not in get_args(LossName):
+            raise InputError(
+                f"unknown loss {self.loss!r}; expected one of " + ", ".join(get_args(LossName)),
+                column="loss",
+            )
+        self._check_noise()
+        if self.spacing_s is not None and not _positive(self.spacing_s):
+            raise InputError(
+                f"spacing_s is {self.spacing_s}; expected a finite number above 0 (seconds)",
+                column="spacing_s",
+            )
+        if self.max_iterations < 1:
+            raise InputError(
+                f"max_iterations is {self.max_iterations}; expected at least 1",
+                column="max_iterations",
+            )
+
+    def _check_noise(self) -> None:
+        noise = self.process_noise
+        if isinstance(noise, tuple):
+            if len(noise) != 3 or not all(_positive(value) for value in noise):
+                raise InputError(
+                    f"process_noise is {noise}; expected one or three finite numbers above 0",
+                    column="process_noise",
+                )
+        elif noise != "auto" and not _positive(noise):
+            raise InputError(
+                f"process_noise is {noise!r}; expected a finite number above 0, or auto",
+                column="process_noise",
+            )
+        along = self.process_noise_along
+        if along is None:
+            return
+        if not _positive(along):
+            raise InputError(
+                f"process_noise_along is {along}; expected a finite number above 0",
+                column="process_noise_along",
+            )
+        if not isinstance(noise, (int, float)) or self.motion in ("static", "constant-position"):
+            raise InputError(
+                "process_noise_along needs one number as process_noise (the noise across the "
+                "velocity) and a motion that has a velocity",
+                column="process_noise_along",
+            )
+
+    def replace(self, **changes: Any) -> SmoothSettings:
+        """Return a copy with some values changed; see the class for names, values and errors."""
+        names = {entry.name for entry in dataclasses.fields(self)}
+        for name in changes:
+            if name not in names:
+                raise InputError(
+                    f"unknown setting {name!r}; expected one of " + ", ".join(sorted(names)),
+                    column=name,
+                )
+        return dataclasses.replace(self, **changes)
+
+
+def _positive(value: object) -> bool:
+    return (
+        isinstance(value, (int, float, np.floating, np.integer))
+        and not isinstance(value, bool)
+        and bool(np.isfinite(value))
+        and value > 0
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Recording:
+    """Measurements of one object by imperfect sensors.
+
+    Parameters
+    ----------
+    name
+        What the recording is called in messages and results.
+    frame
+        ``"ecef"`` (WGS 84) or ``"local"`` (fixed Cartesian axes).
+    sensors
+        By name; their order is that of the sensor indices in the tables.
+    bearings, constraints, truth
+        The tables, each None where the recording has none.
+    epoch
+        UTC instant of ``time_s = 0``; None only in a local frame.
+    propagation_speed_m_s
+        Speed of the signal in metres per second; ``inf`` ignores the light time.
+    settings
+        The recording's own defaults for the smoother.
+    path
+        Where it was read from, if it was.
+
+    Raises
+    ------
+    InputError
+        If the frame is unknown, the speed is not positive, or a table names a sensor out of range.
+    """
+
+    name: str
+    frame: Frame
+    sensors: dict[str, Sensor]
+    bearings: Bearings | None = None
+    constraints: Constraints | None = None
+    truth: Truth | None = None
+    epoch: datetime | None = None
+    propagation_speed_m_s: float = SPEED_OF_LIGHT_M_S
+    settings: SmoothSettings = field(default_factory=SmoothSettings)
+    path: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.frame not in get_args(Frame):
+            raise InputError(
+                f"unknown frame {self.frame!r}; expected ecef or local", column="frame"
+            )
+        if not self.propagation_speed_m_s > 0.0:
+            raise InputError(
+                f"propagation_speed_m_s is {self.propagation_speed_m_s}; expected above 0 or inf",
+                column="propagation_speed_m_s",
+            )
+        if self.bearings is not None and len(self.bearings):
+            low, high = int(self.bearings.sensor.min()), int(self.bearings.sensor.max())
+            if low < 0 or high >= len(self.sensors):
+                raise InputError(
+                    f"bearings name sensors {low} to {high}; "
+                    f"expected indices from 0 to {len(self.sensors) - 1}"
+                )
+
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """Names of the sensors in the order of their indices."""
+        return tuple(self.sensors)
+
+    @property
+    def time_span_s(self) -> tuple[float, float]:
+        """First and last time tag of the measurements, seconds; raises InputError if none."""
+        if self.bearings is None or not len(self.bearings):
+            raise InputError(f"recording {self.name!r} has no measurement", path=self.path)
+        return float(self.bearings.time_s.min()), float(self.bearings.time_s.max())

@@ -1,0 +1,192 @@
+"""Sensors: where they are, how their axes lie, and how wrong they may be.
+
+Every error is a state of the graph when its prior 1-sigma is positive, and known to be absent when
+it is zero. Errors are signed so that *measured = predicted + error*.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from geograph.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+    from scipy.interpolate import CubicSpline
+
+Axes = Literal["enu", "xyz", "body", "radec"]
+"""How a sensor's bearings are measured; see docs/conventions.md."""
+
+Refraction = Literal["none", "standard"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorErrors:
+    """Prior standard deviations of one sensor's errors, SI units; zero means known.
+
+    Biases, offsets and drifts are constants of the pass; an instability is the diffusion of a random
+    walk added to the same error. Drifts are counted from the first measurement of the recording.
+
+    Raises
+    ------
+    InputError
+        If a value is negative or not finite.
+    """
+
+    azimuth_bias_rad: float = 0.0
+    elevation_bias_rad: float = 0.0
+    azimuth_drift_rad_s: float = 0.0
+    elevation_drift_rad_s: float = 0.0
+    azimuth_instability_rad_sqrt_s: float = 0.0
+    elevation_instability_rad_sqrt_s: float = 0.0
+    misalignment_rad: float = 0.0
+    clock_offset_s: float = 0.0
+    clock_drift_s_s: float = 0.0
+    clock_instability_s_sqrt_s: float = 0.0
+    frequency_offset_hz: float = 0.0
+    frequency_drift_hz_s: float = 0.0
+    position_m: float = 0.0
+    position_noise_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        for entry in dataclasses.fields(self):
+            value = getattr(self, entry.name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise InputError(
+                    f"prior sigma is {value}; expected a finite number of at least 0 (0: known)",
+                    column=entry.name,
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A moving sensor's positions, interpolated by a cubic spline.
+
+    Parameters
+    ----------
+    time_s
+        Shape (n,), strictly increasing, n >= 2, seconds after the recording's epoch.
+    position_m
+        Shape (n, 3), metres, in the recording's frame.
+    attitude_rad
+        Shape (n, 3): yaw, pitch and roll in radians, or None.
+
+    Raises
+    ------
+    InputError
+        If shapes differ, a value is not finite, or times do not increase.
+    """
+
+    time_s: NDArray[np.float64]
+    position_m: NDArray[np.float64]
+    attitude_rad: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        time, position = self.time_s, self.position_m
+        if time.ndim != 1 or position.shape != (time.size, 3) or time.size < 2:
+            raise InputError(
+                f"trajectory has times of shape {time.shape} and positions of shape "
+                f"{position.shape}; expected (n,) and (n, 3) with n of at least 2"
+            )
+        if self.attitude_rad is not None and self.attitude_rad.shape != (time.size, 3):
+            raise InputError(
+                f"trajectory has attitudes of shape {self.attitude_rad.shape}; "
+                f"expected ({time.size}, 3): yaw, pitch, roll"
+            )
+        if not (np.isfinite(time).all() and np.isfinite(position).all()):
+            raise InputError("trajectory has a value that is not finite; remove such rows")
+        if not (np.diff(time) > 0.0).all():
+            raise InputError("trajectory times do not increase strictly; sort them, drop repeats")
+
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        from scipy.interpolate import CubicSpline
+
+        # A parabola or a line where there are too few points for the not-a-knot condition.
+        return CubicSpline(self.time_s, self.position_m, axis=0)
+
+    def position_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
+        """Return positions, shape (..., 3), metres, at times in seconds (any shape)."""
+        return np.asarray(self._spline(time_s))
+
+    def velocity_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
+        """Return velocities, shape (..., 3), metres per second, at times in seconds."""
+        return np.asarray(self._spline(time_s, 1))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sensor:
+    """One sensor of a recording: fixed, or moving along a trajectory.
+
+    Parameters
+    ----------
+    name
+        Its name in the recording's tables.
+    position_m
+        Shape (3,), metres, in the recording's frame; for a fixed sensor.
+    trajectory
+        For a moving sensor; exactly one of ``position_m`` and ``trajectory`` is given.
+    axes
+        Axes of its bearings: ``"enu"`` (azimuth clockwise from north, elevation above the geodetic
+        horizon), ``"xyz"`` (on the recording's axes), ``"body"`` or ``"radec"``.
+    errors
+        Prior standard deviations of its errors.
+    correlation
+        Correlation, 0 to 1, of errors that are not modelled as states; 1 is covariance intersection.
+    refraction
+        ``"standard"`` removes mean astronomical refraction from its elevations.
+
+    Raises
+    ------
+    InputError
+        If there is not exactly one of position and trajectory, or a value is out of range.
+    """
+
+    name: str
+    position_m: NDArray[np.float64] | None = None
+    trajectory: Trajectory | None = None
+    axes: Axes = "enu"
+    errors: SensorErrors = field(default_factory=SensorErrors)
+    correlation: float = 0.0
+    refraction: Refraction = "none"
+
+    def __post_init__(self) -> None:
+        if (self.position_m is None) == (self.trajectory is None):
+            raise InputError(
+                f"sensor {self.name!r} needs exactly one of a position and a trajectory"
+            )
+        if self.position_m is not None and (
+            self.position_m.shape != (3,) or not np.isfinite(self.position_m).all()
+        ):
+            raise InputError(f"sensor {self.name!r}: expected three finite coordinates as position")
+        if self.axes not in get_args(Axes):
+            raise InputError(
+                f"sensor {self.name!r} has axes {self.axes!r}; expected one of "
+                + ", ".join(get_args(Axes))
+            )
+        if not 0.0 <= self.correlation <= 1.0:
+            raise InputError(
+                f"sensor {self.name!r} has correlation {self.correlation}; expected 0 to 1"
+            )
+        if self.refraction not in get_args(Refraction):
+            raise InputError(
+                f"sensor {self.name!r} has refraction {self.refraction!r}; "
+                "expected none or standard"
+            )
+
+    def position_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
+        """Return positions, shape (..., 3), metres, at times in seconds (any shape)."""
+        if self.trajectory is not None:
+            return self.trajectory.position_at(time_s)
+        return np.broadcast_to(np.asarray(self.position_m), (*np.shape(time_s), 3))
+
+    def velocity_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
+        """Return velocities, shape (..., 3), metres per second, at times in seconds."""
+        if self.trajectory is not None:
+            return self.trajectory.velocity_at(time_s)
+        return np.zeros((*np.shape(time_s), 3))
