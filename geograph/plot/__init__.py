@@ -1,0 +1,199 @@
+"""Pictures of a smoothed path.
+
+Each function takes a track, or the results read back from a folder, and draws on the axes given or
+on those of a new figure; :func:`save_all` writes the pictures of a results folder.
+
+    >>> import geograph.plot
+    >>> "path.png" in geograph.plot.PICTURES
+    True
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+from geograph.plot import _style as look
+from geograph.plot._ground import draw_path
+from geograph.plot._residuals import draw_normalised, residual_figure
+from geograph.plot._sensors import draw_curves, draw_errors_in_sigmas, error_figure
+from geograph.plot._time import draw_height, draw_side_view, draw_speed
+from geograph.results import as_results
+from geograph.results.names import PICTURES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from geograph.results import Results
+    from geograph.track import Track
+
+__all__ = [
+    "PICTURES",
+    "height",
+    "overview",
+    "path",
+    "residuals",
+    "save_all",
+    "sensor_error_curves",
+    "sensor_errors",
+    "side_view",
+    "speed",
+]
+
+
+def path(track: Track | Results, ax: Axes | None = None, *, sensors: bool = True) -> Axes:
+    """Draw the path over ground with its 95 % ellipses.
+
+    Parameters
+    ----------
+    track
+        A track or its results.
+    ax
+        Axes to draw on; None: those of a new figure.
+    sensors
+        Whether to draw the sensors and some of their bearings, as measured.
+
+    Returns
+    -------
+    Axes
+        East and north of the path's middle on the tangent plane, or x and y of a local frame.
+    """
+    ax = look.axes_or_new(ax, 7.0, 6.0)
+    draw_path(as_results(track), ax, sensors=sensors)
+    return ax
+
+
+def height(track: Track | Results, ax: Axes | None = None) -> Axes:
+    """Draw the height above the ellipsoid (z in a local frame) against time, with a 95 % band."""
+    ax = look.axes_or_new(ax)
+    draw_height(as_results(track), ax)
+    return ax
+
+
+def side_view(track: Track | Results, ax: Axes | None = None) -> Axes:
+    """Draw the height against the distance over ground, with 95 % ellipses, to one scale."""
+    ax = look.axes_or_new(ax)
+    draw_side_view(as_results(track), ax)
+    return ax
+
+
+def speed(track: Track | Results, ax: Axes | None = None) -> Axes:
+    """Draw the speed in the recording's frame against time, with a 95 % band."""
+    ax = look.axes_or_new(ax)
+    draw_speed(as_results(track), ax)
+    return ax
+
+
+def residuals(track: Track | Results, ax: Axes | None = None) -> Axes:
+    """Draw residuals over their sigmas against time; what was rejected is crossed out."""
+    ax = look.axes_or_new(ax)
+    draw_normalised(as_results(track), ax)
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return ax
+
+
+def sensor_errors(track: Track | Results, ax: Axes | None = None) -> Axes:
+    """Draw estimated sensor errors over their prior sigmas, with 95 % bars."""
+    ax = look.axes_or_new(ax)
+    draw_errors_in_sigmas(as_results(track), ax)
+    return ax
+
+
+def sensor_error_curves(
+    track: Track | Results,
+    ax: Axes | None = None,
+    *,
+    kind: Literal["azimuth", "elevation", "clock"] = "azimuth",
+) -> Axes:
+    """Draw one kind of sensor error against time, for the sensors where it drifts or walks."""
+    ax = look.axes_or_new(ax)
+    draw_curves(as_results(track), ax, kind)
+    return ax
+
+
+def overview(track: Track | Results) -> Figure:
+    """Return one page that shows path, height, speed, residuals and sensor errors."""
+    results = as_results(track)
+    figure = look.new_figure(16.0, 9.5)
+    look.headline(figure, results, _verdict(results))
+    grid = figure.add_gridspec(6, 3, width_ratios=[1.25, 1.0, 1.0])
+    where = figure.add_subplot(grid[:4, 0])
+    draw_path(results, where, sensors=True)
+    close = figure.add_subplot(grid[4:, 0])
+    draw_path(results, close, sensors=False, legend=False)
+    close.set_title("the path alone")
+    draw_height(results, figure.add_subplot(grid[:3, 1]))
+    draw_speed(results, figure.add_subplot(grid[3:, 1]))
+    draw_normalised(results, figure.add_subplot(grid[:2, 2]))
+    draw_errors_in_sigmas(results, figure.add_subplot(grid[2:, 2]))
+    return figure
+
+
+def save_all(track: Track | Results, folder: Path) -> tuple[Path, ...]:
+    """Draw all pictures of a track into an existing folder, and return their paths.
+
+    Parameters
+    ----------
+    track
+        A track or its results.
+    folder
+        Where to write; see :data:`PICTURES` for the names. Without a velocity there is no
+        ``speed.png``.
+    """
+    results = as_results(track)
+    makers: dict[str, Callable[[Results], Figure]] = {
+        "overview.png": overview,
+        "path.png": _path_figure,
+        "height.png": _height_figure,
+        "residuals.png": residual_figure,
+        "sensor_errors.png": error_figure,
+    }
+    if results.velocity_m_s is not None:
+        makers["speed.png"] = _speed_figure
+    written = []
+    with look.style():
+        for name, make in makers.items():
+            target = folder / name
+            make(results).savefig(target)
+            written.append(target)
+    return tuple(written)
+
+
+def _path_figure(results: Results) -> Figure:
+    figure = look.new_figure(13.0, 6.5)
+    look.headline(figure, results, "path over ground")
+    left, right = figure.subplots(1, 2)
+    draw_path(results, left, sensors=True)
+    left.set_title("with sensors and some of their bearings")
+    draw_path(results, right, sensors=False)
+    right.set_title("the path alone")
+    return figure
+
+
+def _height_figure(results: Results) -> Figure:
+    figure = look.new_figure(13.0, 5.0)
+    look.headline(figure, results, "height")
+    left, right = figure.subplots(1, 2)
+    draw_height(results, left)
+    draw_side_view(results, right)
+    right.set_title("from the side")
+    return figure
+
+
+def _speed_figure(results: Results) -> Figure:
+    figure = look.new_figure(7.5, 4.5)
+    look.headline(figure, results, "speed")
+    draw_speed(results, figure.subplots())
+    return figure
+
+
+def _verdict(results: Results) -> str:
+    facts = results.summary
+    chi2, degrees = facts.get("chi2"), facts.get("degrees_of_freedom")
+    fit = f", chi2/dof {chi2:.1f}/{degrees}" if chi2 is not None and degrees else ""
+    lost = len(facts.get("rejected") or ())
+    rejected = f", {lost} rejected" if lost else ""
+    return f"{results.status}, {facts.get('measurements', 0)} measurements{rejected}{fit}"

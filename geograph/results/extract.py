@@ -1,0 +1,186 @@
+"""From a track, which holds the whole posterior, to the results that files hold of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geograph.results.data import (
+    ELLIPSOID_PROBABILITY,
+    ErrorCurve,
+    ErrorKind,
+    ErrorState,
+    ResidualTable,
+    Results,
+    SensorPath,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from geograph.sensors import Sensor, SensorErrors
+    from geograph.track import Track
+
+_CURVE_POINTS = 200
+_ERROR_UNITS: dict[ErrorKind, str] = {"azimuth": "rad", "elevation": "rad", "clock": "s"}
+
+
+def from_track(track: Track, *, command: str | None = None) -> Results:
+    """Return the results of a track.
+
+    Parameters
+    ----------
+    track
+        As :func:`geograph.smooth` returned it.
+    command
+        Command line to be noted in the summary.
+    """
+    recording = track.recording
+    start, end = recording.time_span_s
+    sensors = recording.sensors.values()
+    return Results(
+        name=recording.name,
+        frame=recording.frame,
+        status=track.status.value,
+        time_s=track.time_s,
+        position_m=track.position_m,
+        position_covariance_m2=track.position_covariance_m2,
+        velocity_m_s=track.velocity_m_s,
+        acceleration_m_s2=track.acceleration_m_s2,
+        sigma_speed_m_s=_speed_sigma(track),
+        semi_axes_m=track.ellipsoids(ELLIPSOID_PROBABILITY).semi_axes_m,
+        sensors=tuple(_sensor_path(sensor, start, end) for sensor in sensors),
+        errors=tuple(
+            ErrorState(
+                sensor=sensor,
+                state=state,
+                unit=estimate.unit,
+                estimate=float(estimate.estimate),
+                sigma=float(estimate.sigma),
+                prior_sigma=float(estimate.prior_sigma),
+            )
+            for sensor, states in track.sensor_errors.items()
+            for state, estimate in states.items()
+        ),
+        curves=tuple(
+            _curve(track, sensor, kind, start, end)
+            for sensor in sensors
+            for kind in _ERROR_UNITS
+            if _changes(sensor.errors, kind)
+        ),
+        residuals=_residual_table(track),
+        truth=recording.truth,
+        summary=_summary(track, command),
+    )
+
+
+def as_results(track: Track | Results) -> Results:
+    """Return results as they are, or those of a track."""
+    return track if isinstance(track, Results) else from_track(track)
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of geograph, of what it computes with, and of Python."""
+    import platform
+    from importlib.metadata import version
+
+    packages = ("geograph", "gtsam", "numpy", "scipy")
+    return {name: version(name) for name in packages} | {"python": platform.python_version()}
+
+
+def _summary(track: Track, command: str | None) -> dict[str, Any]:
+    recording = track.recording
+    start, end = recording.time_span_s
+    facts: dict[str, Any] = dict(track.summary)
+    facts.setdefault("name", recording.name)
+    facts.setdefault("status", track.status.value)
+    facts["frame"] = recording.frame
+    facts["epoch"] = None if recording.epoch is None else recording.epoch.isoformat()
+    facts["time_span_s"] = [start, end]
+    facts["ellipsoid_probability"] = ELLIPSOID_PROBABILITY
+    facts["settings"] = dataclasses.asdict(track.settings)
+    facts["versions"] = versions()
+    facts["command"] = command
+    return facts
+
+
+def _speed_sigma(track: Track) -> NDArray[np.float64] | None:
+    velocity = track.velocity_m_s
+    if velocity is None:
+        return None
+    speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
+    # At rest the direction is undefined; any unit vector then gives the right order of magnitude.
+    along = np.where(speed > 0.0, velocity, [1.0, 0.0, 0.0]) / np.where(speed > 0.0, speed, 1.0)
+    variance = np.einsum("ki,kij,kj->k", along, track.covariance[:, 3:6, 3:6], along)
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def _sensor_path(sensor: Sensor, start: float, end: float) -> SensorPath:
+    time = np.array([start])
+    if sensor.trajectory is not None:
+        low, high = sensor.trajectory.time_s[[0, -1]]
+        time = np.linspace(max(start, low), min(end, high), _CURVE_POINTS)
+    position = np.array(sensor.position_at(time))
+    return SensorPath(sensor=sensor.name, axes=sensor.axes, time_s=time, position_m=position)
+
+
+def _changes(errors: SensorErrors, kind: ErrorKind) -> bool:
+    _, drift, instability = _prior(errors, kind)
+    return drift > 0.0 or instability > 0.0
+
+
+def _prior(errors: SensorErrors, kind: ErrorKind) -> tuple[float, float, float]:
+    if kind == "clock":
+        return errors.clock_offset_s, errors.clock_drift_s_s, errors.clock_instability_s_sqrt_s
+    return (
+        getattr(errors, f"{kind}_bias_rad"),
+        getattr(errors, f"{kind}_drift_rad_s"),
+        getattr(errors, f"{kind}_instability_rad_sqrt_s"),
+    )
+
+
+def _curve(track: Track, sensor: Sensor, kind: ErrorKind, start: float, end: float) -> ErrorCurve:
+    time = np.linspace(start, end, _CURVE_POINTS)
+    estimate, sigma = track.sensor_error_at(sensor.name, kind, time)
+    bias, drift, instability = _prior(sensor.errors, kind)
+    elapsed = time - start
+    prior = np.sqrt(bias**2 + (drift * elapsed) ** 2 + instability**2 * elapsed)
+    return ErrorCurve(
+        sensor=sensor.name,
+        kind=kind,
+        unit=_ERROR_UNITS[kind],
+        time_s=time,
+        estimate=estimate,
+        sigma=sigma,
+        prior_sigma=prior,
+    )
+
+
+def _residual_table(track: Track) -> ResidualTable:
+    source = track.residuals
+    names = np.asarray(track.recording.sensor_names, dtype=np.str_)
+    kind = np.asarray(source.kind, dtype=np.str_)
+    return ResidualTable(
+        time_s=source.time_s,
+        sensor=names[np.asarray(source.sensor, dtype=np.int64)],
+        kind=kind,
+        unit=_residual_units(kind),
+        measured=source.measured,
+        predicted=source.predicted,
+        residual=source.residual,
+        sigma=source.sigma,
+        normalised=source.normalised,
+        weight=source.weight,
+        rejected=source.rejected,
+        line=source.line,
+    )
+
+
+def _residual_units(kind: NDArray[np.str_]) -> NDArray[np.str_]:
+    """Return the SI unit of each kind of measurement, shape of ``kind``."""
+    units = np.full(kind.shape, "rad", dtype="<U3")
+    units[np.char.endswith(kind, "_m")] = "m"
+    units[np.char.endswith(kind, "_m_s")] = "m/s"
+    return units

@@ -1,0 +1,38 @@
+"""Names of the files and columns of a results folder."""
+
+from __future__ import annotations
+
+TRACK, SENSORS, RESIDUALS, SUMMARY = "track.csv", "sensors.csv", "residuals.csv", "summary.json"
+PLACES, CURVES, TRUTH = "sensor_positions.csv", "sensor_errors.csv", "truth.csv"
+TABLES = frozenset({TRACK, SENSORS, RESIDUALS, SUMMARY, PLACES, CURVES, TRUTH})
+PICTURES = (
+    "overview.png",
+    "path.png",
+    "height.png",
+    "speed.png",
+    "residuals.png",
+    "sensor_errors.png",
+)
+
+POSITION = ("x_m", "y_m", "z_m")
+VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
+ACCELERATION = ("ax_m_s2", "ay_m_s2", "az_m_s2")
+COVARIANCE = {
+    "cov_xx_m2": (0, 0),
+    "cov_xy_m2": (0, 1),
+    "cov_xz_m2": (0, 2),
+    "cov_yy_m2": (1, 1),
+    "cov_yz_m2": (1, 2),
+    "cov_zz_m2": (2, 2),
+}
+GEODETIC = ("latitude_deg", "longitude_deg", "height_m")
+SEMI_AXES = ("semi_major_m", "semi_middle_m", "semi_minor_m")
+SPEED = ("speed_m_s", "sigma_speed_m_s")
+RESIDUAL_NUMBERS = (
+    "measured",
+    "predicted",
+    "residual",
+    "sigma",
+    "normalised",
+    "weight",
+)
