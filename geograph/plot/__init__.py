@@ -16,7 +16,13 @@ from geograph.plot import _style as look
 from geograph.plot._ground import draw_path
 from geograph.plot._residuals import draw_normalised, residual_figure
 from geograph.plot._sensors import draw_curves, draw_errors_in_sigmas, error_figure
-from geograph.plot._time import draw_height, draw_side_view, draw_speed
+from geograph.plot._time import (
+    draw_height,
+    draw_height_spread,
+    draw_side_view,
+    draw_speed,
+    draw_speed_spread,
+)
 from geograph.results import as_results
 from geograph.results.names import PICTURES
 
@@ -119,16 +125,18 @@ def overview(track: Track | Results) -> Figure:
     results = as_results(track)
     figure = look.new_figure(16.0, 9.5)
     look.headline(figure, results, _verdict(results))
-    grid = figure.add_gridspec(6, 3, width_ratios=[1.25, 1.0, 1.0])
-    where = figure.add_subplot(grid[:4, 0])
+    # Columns of their own: the labels of one must not set the margins of another.
+    left, middle, right = figure.subfigures(1, 3, width_ratios=[1.2, 0.9, 1.1])
+    where, close = left.subplots(2, 1, height_ratios=[2.2, 1.0])
     draw_path(results, where, sensors=True)
-    close = figure.add_subplot(grid[4:, 0])
     draw_path(results, close, sensors=False, legend=False)
     close.set_title("the path alone")
-    draw_height(results, figure.add_subplot(grid[:3, 1]))
-    draw_speed(results, figure.add_subplot(grid[3:, 1]))
-    draw_normalised(results, figure.add_subplot(grid[:2, 2]))
-    draw_errors_in_sigmas(results, figure.add_subplot(grid[2:, 2]))
+    over, under = middle.subplots(2, 1)
+    draw_height(results, over)
+    draw_speed(results, under)
+    over, under = right.subplots(2, 1, height_ratios=[1.0, 1.8])
+    draw_normalised(results, over)
+    draw_errors_in_sigmas(results, under)
     return figure
 
 
@@ -174,19 +182,26 @@ def _path_figure(results: Results) -> Figure:
 
 
 def _height_figure(results: Results) -> Figure:
-    figure = look.new_figure(13.0, 5.0)
+    figure = look.new_figure(13.0, 6.0)
     look.headline(figure, results, "height")
-    left, right = figure.subplots(1, 2)
-    draw_height(results, left)
-    draw_side_view(results, right)
-    right.set_title("from the side")
+    left, right = figure.subfigures(1, 2)
+    value, spread = left.subplots(2, 1, sharex=True, height_ratios=[2.5, 1.0])
+    draw_height(results, value)
+    draw_height_spread(results, spread)
+    value.set_xlabel("")
+    ax = right.subplots()
+    draw_side_view(results, ax)
+    ax.set_title("from the side")
     return figure
 
 
 def _speed_figure(results: Results) -> Figure:
-    figure = look.new_figure(7.5, 4.5)
+    figure = look.new_figure(8.0, 6.0)
     look.headline(figure, results, "speed")
-    draw_speed(results, figure.subplots())
+    value, spread = figure.subplots(2, 1, sharex=True, height_ratios=[2.5, 1.0])
+    draw_speed(results, value)
+    draw_speed_spread(results, spread)
+    value.set_xlabel("")
     return figure
 
 
@@ -196,4 +211,4 @@ def _verdict(results: Results) -> str:
     fit = f", chi2/dof {chi2:.1f}/{degrees}" if chi2 is not None and degrees else ""
     lost = len(facts.get("rejected") or ())
     rejected = f", {lost} rejected" if lost else ""
-    return f"{results.status}, {facts.get('measurements', 0)} measurements{rejected}{fit}"
+    return f"{facts.get('measurements', 0)} measurements{rejected}{fit}"

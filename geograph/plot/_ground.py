@@ -34,17 +34,17 @@ def draw_path(results: Results, ax: Axes, *, sensors: bool, legend: bool = True)
         true = plane.project(results.truth.position_m) / unit.size
         ax.plot(*true.T, "--", color=look.TRUTH, lw=1.2, zorder=5, label="truth")
     _draw_ellipses(results, ax, track, outline, factor=factor, unit=unit.size)
-    ax.plot(*track.T / unit.size, color=look.PATH, lw=2.2, zorder=4, label="path")
     if results.time_s.size > 1:
+        ax.plot(*track.T / unit.size, color=look.PATH, lw=2.2, zorder=4, label="path")
         _draw_ends(ax, track / unit.size)
     else:
-        ax.plot(*track.T / unit.size, "o", color=look.PATH, zorder=5)
+        ax.plot(*track.T / unit.size, "o", color=look.PATH, zorder=5, label="position")
     ax.set_xlabel(f"{plane.across} ({unit.name})")
     ax.set_ylabel(f"{plane.along} ({unit.name})")
     ax.set_aspect("equal", adjustable="datalim")
     ax.margins(0.08)
     if legend:
-        ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.13), ncols=4, borderaxespad=0.0)
+        ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.13), ncols=3, borderaxespad=0.0)
 
 
 def _ellipses(

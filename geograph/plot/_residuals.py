@@ -23,7 +23,7 @@ _TALL_LAYOUT = 8
 
 def draw_normalised(results: Results, ax: Axes) -> None:
     """Draw all normalised residuals against time, a colour for each sensor."""
-    _draw_expectation(ax)
+    _draw_expectation(ax, results.residuals)
     for index, place in enumerate(results.sensors):
         rows = results.residuals.of(place.sensor)
         if len(rows):
@@ -52,7 +52,7 @@ def residual_figure(results: Results) -> Figure:
     for (left, right), sensor in zip(axes, measured, strict=False):
         rows = results.residuals.of(sensor)
         _draw_in_units(left, rows, sensor)
-        _draw_expectation(right)
+        _draw_expectation(right, rows)
         _draw_kinds(right, rows)
         right.set_ylabel("residual / sigma")
     for ax in axes[-1]:
@@ -69,7 +69,7 @@ def _grid_figure(results: Results, sensors: list[str]) -> Figure:
     axes = figure.subplots(count, columns, squeeze=False, sharex=True, sharey=True)
     for ax, sensor in zip(axes.flat, sensors, strict=False):
         rows = results.residuals.of(sensor)
-        _draw_expectation(ax)
+        _draw_expectation(ax, results.residuals)
         _draw_kinds(ax, rows)
         used = rows.residual[~rows.rejected]
         rms = math.sqrt(float(np.mean(used**2))) if used.size else math.nan
@@ -85,11 +85,14 @@ def _grid_figure(results: Results, sensors: list[str]) -> Figure:
     return figure
 
 
-def _draw_expectation(ax: Axes) -> None:
+def _draw_expectation(ax: Axes, rows: ResidualTable) -> None:
     ax.axhspan(
         -look.NORMAL_95, look.NORMAL_95, color=look.PRIOR, alpha=0.6, lw=0, label="95 % band"
     )
     ax.axhline(0.0, color="0.4", lw=0.8)
+    size = np.abs(rows.normalised[np.isfinite(rows.normalised)])
+    reach = float(np.clip(1.1 * size.max(initial=0.0), 4.0, 1.08 * _NORMALISED_LIMIT))
+    ax.set_ylim(-reach, reach)
 
 
 def _kinds(rows: ResidualTable) -> list[str]:
@@ -135,7 +138,6 @@ def _mark_rejected(ax: Axes, rows: ResidualTable, *, normalised: bool, size: flo
     time = rows.time_s[rows.rejected]
     if normalised:
         value = np.clip(rows.normalised[rows.rejected], -_NORMALISED_LIMIT, _NORMALISED_LIMIT)
-        ax.set_ylim(-_NORMALISED_LIMIT * 1.08, _NORMALISED_LIMIT * 1.08)
     else:
         low, high = ax.get_ylim()
         value = np.clip(rows.residual[rows.rejected] / size, low, high)

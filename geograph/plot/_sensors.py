@@ -22,7 +22,6 @@ def draw_errors_in_sigmas(results: Results, ax: Axes) -> None:
     """Draw estimates over their prior sigmas, a row for each; the most surprising if many."""
     errors = [error for error in results.errors if error.prior_sigma > 0.0]
     errors.sort(key=lambda error: -abs(error.estimate) / error.prior_sigma)
-    left_out = len(errors) - _OVERVIEW_ROWS
     shown = errors[:_OVERVIEW_ROWS]
     if not shown:
         ax.text(0.5, 0.5, "all sensors are taken as perfect", ha="center", va="center")
@@ -36,19 +35,20 @@ def draw_errors_in_sigmas(results: Results, ax: Axes) -> None:
         colour = look.ALARM if error.surprising else look.BLUE
         spread = look.NORMAL_95 * error.sigma / scale
         ax.errorbar(error.estimate / scale, row, xerr=spread, fmt="o", ms=4, color=colour, lw=1.5)
-    ax.set_yticks(range(len(shown)), [_row_label(error) for error in shown])
+    ax.set_yticks(range(len(shown)), [_row_label(error) for error in shown], fontsize=7.5)
     ax.set_ylim(len(shown) - 0.4, -0.6)
     reach = max(3.4, *(abs(e.estimate) / e.prior_sigma * 1.15 for e in shown))
     ax.set_xlim(-reach, reach)
-    note = f"; {left_out} smaller ones left out" if left_out > 0 else ""
-    ax.set_xlabel(f"estimate / prior sigma, with 95 % bars{note}")
+    ax.set_xlabel("sensor error / prior sigma, with 95 % bars")
+    if len(errors) > len(shown):
+        ax.set_title(f"the {len(shown)} greatest of {len(errors)} sensor errors")
     ax.grid(axis="y", visible=False)
 
 
 def _row_label(error: ErrorState) -> str:
     unit = look.fitting_unit(error.unit, error.estimate, error.sigma)
     value = f"{error.estimate / unit.size:+.3g} ± {error.sigma / unit.size:.2g} {unit.name}"
-    return f"{error.sensor} {error.state.replace('_', ' ')}\n{value}"
+    return f"{error.sensor} {error.state.replace('_', ' ')}  {value}"
 
 
 def error_figure(results: Results) -> Figure:

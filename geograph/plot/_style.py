@@ -108,16 +108,17 @@ def axes_or_new(ax: Axes | None, width: float = 7.0, height: float = 5.0) -> Axe
     return new_figure(width, height).add_subplot() if ax is None else ax
 
 
-def title(results: Results, what: str) -> str:
-    """Return a title that names the recording, and its status where that is not converged."""
-    status = "" if results.status == "converged" else f" ({results.status.upper()})"
-    return f"{results.name}{status}: {what}"
-
-
 def headline(figure: Figure, results: Results, what: str) -> None:
-    """Put the title over a figure, in the alarm colour unless the solution converged."""
-    colour = BLACK if results.status == "converged" else ALARM
-    figure.suptitle(title(results, what), x=0.01, ha="left", fontsize=12, color=colour)
+    """Put name and status over a figure, in the alarm colour unless the solution converged."""
+    good = results.status == "converged"
+    status = results.status.replace("_", " ")
+    figure.suptitle(
+        f"{results.name}, {status if good else status.upper()}: {what}",
+        x=0.01,
+        ha="left",
+        fontsize=12,
+        color=BLACK if good else ALARM,
+    )
 
 
 def sensor_look(index: int) -> dict[str, str]:

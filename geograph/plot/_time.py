@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,29 +25,67 @@ def time_label(results: Results) -> str:
     return "time (s)" if not epoch else f"time after {str(epoch).replace('+00:00', ' UTC')} (s)"
 
 
+@dataclass(frozen=True, eq=False)
+class _Series:
+    """A quantity along the path: SI values, standard deviations, and truth at its own times."""
+
+    name: str
+    unit: str
+    value: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    true: NDArray[np.float64] | None
+
+
 def draw_height(results: Results, ax: Axes) -> None:
     """Draw the height, or z, against time with its 95 % band."""
-    height = results.height_m()
-    sigma = np.sqrt(np.maximum(results.level_covariance_m2()[:, 2, 2], 0.0))
-    true = None if results.truth is None else _height(results, results.truth.position_m)
-    _draw_band(results, ax, height, sigma, true=true)
-    unit = length_unit(float(np.abs(height).max())).name
-    ax.set_ylabel(f"{_height_name(results)} ({unit})")
+    _draw_band(results, ax, _height_series(results))
+
+
+def draw_height_spread(results: Results, ax: Axes) -> None:
+    """Draw the 95 % band of the height about zero, with the truth's deviation if known."""
+    _draw_spread(results, ax, _height_series(results))
 
 
 def draw_speed(results: Results, ax: Axes) -> None:
     """Draw the speed against time with its 95 % band; a note where the motion has none."""
-    speed, sigma = results.speed_m_s, results.sigma_speed_m_s
-    if speed is None or sigma is None:
+    series = _speed_series(results)
+    if series is None:
         ax.text(0.5, 0.5, "this motion model has no velocity", ha="center", va="center")
         ax.set_axis_off()
-        return
-    true = None
-    if results.truth is not None and results.truth.velocity_m_s is not None:
-        true = np.linalg.norm(results.truth.velocity_m_s, axis=-1)
-    _draw_band(results, ax, speed, sigma, true=true)
-    frame = "Earth-fixed speed" if results.frame == "ecef" else "speed"
-    ax.set_ylabel(f"{frame} ({length_unit(float(speed.max())).name}/s)")
+    else:
+        _draw_band(results, ax, series)
+
+
+def draw_speed_spread(results: Results, ax: Axes) -> None:
+    """Draw the 95 % band of the speed about zero, with the truth's deviation if known."""
+    series = _speed_series(results)
+    if series is not None:
+        _draw_spread(results, ax, series)
+
+
+def _height_series(results: Results) -> _Series:
+    return _Series(
+        name=_height_name(results),
+        unit="m",
+        value=results.height_m(),
+        sigma=np.sqrt(np.maximum(results.level_covariance_m2()[:, 2, 2], 0.0)),
+        true=None if results.truth is None else _height(results, results.truth.position_m),
+    )
+
+
+def _speed_series(results: Results) -> _Series | None:
+    speed, sigma = results.speed_m_s, results.sigma_speed_m_s
+    if speed is None or sigma is None:
+        return None
+    truth = results.truth
+    velocity = None if truth is None else truth.velocity_m_s
+    return _Series(
+        name="Earth-fixed speed" if results.frame == "ecef" else "speed",
+        unit="m/s",
+        value=speed,
+        sigma=sigma,
+        true=None if velocity is None else np.linalg.norm(velocity, axis=-1),
+    )
 
 
 def draw_side_view(results: Results, ax: Axes) -> None:
@@ -57,7 +96,8 @@ def draw_side_view(results: Results, ax: Axes) -> None:
     distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(level, axis=-1))])
     height = results.height_m()
     unit = length_unit(max(float(np.ptp(distance)), float(np.abs(height).max())))
-    ax.plot(distance / unit.size, height / unit.size, color=look.PATH, lw=2.0, label="path")
+    style = "-" if distance.size > 1 else "o"
+    ax.plot(distance / unit.size, height / unit.size, style, color=look.PATH, lw=2.0, label="path")
     chosen = look.some(distance.size, _ELLIPSES)
     outline = look.ellipse_outline(_side_covariance(levels, level)[chosen])
     factor = look.magnification(outline, max(float(np.ptp(distance)), float(np.ptp(height))))
@@ -86,28 +126,51 @@ def _side_covariance(
     return np.asarray(rows @ covariance @ np.swapaxes(rows, 1, 2))
 
 
-def _draw_band(
-    results: Results,
-    ax: Axes,
-    value: NDArray[np.float64],
-    sigma: NDArray[np.float64],
-    *,
-    true: NDArray[np.float64] | None,
-) -> None:
-    unit = length_unit(float(np.abs(value).max())).size
+def _drawn_time(results: Results, *values: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Return times and values; one knot stands for the whole recording."""
     time = results.time_s
-    if time.size == 1:
-        # One knot stands for the whole recording.
-        time = np.asarray(results.summary.get("time_span_s", [time[0], time[0]]))
-        value, sigma = np.repeat(value, 2), np.repeat(sigma, 2)
+    if time.size > 1:
+        return time, *values
+    span = results.summary.get("time_span_s", [time[0], time[0]])
+    return np.asarray(span), *(np.repeat(value, 2) for value in values)
+
+
+def _draw_band(results: Results, ax: Axes, series: _Series) -> None:
+    unit = _unit(series, np.abs(series.value))
+    time, value, sigma = _drawn_time(results, series.value, series.sigma)
     half = look.NORMAL_95 * sigma
-    low, high = (value - half) / unit, (value + half) / unit
+    low, high = (value - half) / unit.size, (value + half) / unit.size
     ax.fill_between(time, low, high, color=look.BAND, alpha=0.45, lw=0, label="95 % band")
-    ax.plot(time, value / unit, color=look.PATH, lw=1.8, label="estimate")
-    if true is not None and results.truth is not None:
-        ax.plot(results.truth.time_s, true / unit, "--", color=look.TRUTH, lw=1.0, label="truth")
+    ax.plot(time, value / unit.size, color=look.PATH, lw=1.8, label="estimate")
+    if series.true is not None and results.truth is not None:
+        true = series.true / unit.size
+        ax.plot(results.truth.time_s, true, "--", color=look.TRUTH, lw=1.0, label="truth")
     ax.set_xlabel(time_label(results))
+    ax.set_ylabel(f"{series.name} ({unit.name})")
     ax.legend(loc="best")
+
+
+def _draw_spread(results: Results, ax: Axes, series: _Series) -> None:
+    time, sigma = _drawn_time(results, series.sigma)
+    half = look.NORMAL_95 * sigma
+    unit = _unit(series, half)
+    half = half / unit.size
+    ax.fill_between(time, -half, half, color=look.BAND, alpha=0.45, lw=0, label="95 % band")
+    ax.axhline(0.0, color=look.PATH, lw=1.2)
+    if series.true is not None and results.truth is not None:
+        known = results.truth.time_s
+        off = series.true - np.interp(known, results.time_s, series.value)
+        inside = (known >= results.time_s[0]) & (known <= results.time_s[-1])
+        style = "--" if known.size > 1 else "o"
+        ax.plot(known[inside], off[inside] / unit.size, style, color=look.TRUTH, lw=1.0)
+    ax.set_xlabel(time_label(results))
+    ax.set_ylabel(f"95 % band ({unit.name})")
+
+
+def _unit(series: _Series, size: NDArray[np.float64]) -> look.Unit:
+    finite = size[np.isfinite(size)]
+    unit = length_unit(float(finite.max()) if finite.size else 0.0)
+    return unit if series.unit == "m" else look.Unit(f"{unit.name}/s", unit.size)
 
 
 def _height(results: Results, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
