@@ -1,0 +1,297 @@
+"""Bearings, with every error of the sensors that took them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geograph.factors.bearing import coordinate_residual, predict_bearing, tangent_residual
+from geograph.factors.light_time import Sight, light_time_correction, sight
+from geograph.families.base import Evaluation, Family, Values
+from geograph.frames import frame_spin_rad_s
+from geograph.states import AZIMUTH, CLOCK, ELEVATION, POSITION, SensorErrorTerms
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from geograph.factors.bearing import BearingResidual
+    from geograph.frames import SensorGeometry, SensorPoses
+    from geograph.measurements import Bearings
+    from geograph.path import Path, PathState, Place
+    from geograph.states import SensorStates
+
+# Newton's step of the light time squares its error: after one of a microsecond, what is left of an
+# object at 10 km/s is far below a micrometre.
+_LIGHT_TIME_TOLERANCE_S = 1e-6
+_LIGHT_TIME_ROUNDS = 20
+
+
+class BearingFamily(Family):
+    """All bearings of a recording.
+
+    Parameters
+    ----------
+    bearings
+        The table, elevations free of refraction.
+    geometry
+        Poses of the sensors.
+    states
+        Sensor-error states of the problem.
+    walk_scale
+        Shape (w,): scales of the walks, SI.
+    speed_m_s
+        Speed of propagation; inf: no light time.
+    weight
+        Shape (n,): weights of the information, for correlated errors.
+    position_noise_m
+        Shape (n,): white error of the sensor's position at each measurement.
+    """
+
+    name = "bearings"
+    rows = 2
+
+    def __init__(
+        self,
+        bearings: Bearings,
+        *,
+        geometry: SensorGeometry,
+        states: SensorStates,
+        walk_scale: NDArray[np.float64],
+        speed_m_s: float,
+        weight: NDArray[np.float64],
+        position_noise_m: NDArray[np.float64],
+    ) -> None:
+        self.bearings = bearings
+        self.time_s = bearings.time_s
+        self.line = bearings.line
+        self.geometry = geometry
+        self.states = states
+        self.speed_m_s = speed_m_s
+        self.spin_rad_s = frame_spin_rad_s(geometry.frame)
+        self.weight = weight
+        self.position_noise_m = position_noise_m
+        self.walk_scale = walk_scale
+        self.azimuth_only = np.isnan(bearings.elevation_rad)
+        self.row_count = int(2 * len(bearings) - self.azimuth_only.sum())
+        self.terms = SensorErrorTerms(states, bearings.sensor, bearings.time_s, walk_scale)
+        # An azimuth alone has no tangent plane: its on-sky sigma is that of the coordinate.
+        self._tangent = bearings.isotropic & ~self.azimuth_only
+        self._uniform = bool(self._tangent.all())
+        clocked = np.isin(CLOCK, [state.channel for state in (*states.constants, *states.walks)])
+        self._clocked = bool(clocked)
+        self._light_time = np.zeros(len(bearings))
+        self._walk_time = bearings.time_s.copy()
+        self._poses: SensorPoses | None = None
+        self._place: tuple[Path, Place] | None = None
+        self._white = self._whitening(np.full(len(bearings), np.inf))
+
+    def _whitening(self, distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return reciprocals of the sigmas, shape (n, 2), position noise included."""
+        extra = self.position_noise_m / distance_m
+        azimuth = self.bearings.sigma_azimuth_rad
+        elevation = self.bearings.sigma_elevation_rad
+        # A displacement across the line of sight moves the azimuth by 1 / cos(elevation) more.
+        level = np.where(self._tangent, 1.0, np.cos(np.nan_to_num(self.bearings.elevation_rad)))
+        sigma = np.stack(
+            [np.hypot(azimuth, extra / np.maximum(level, 1e-6)), np.hypot(elevation, extra)], axis=1
+        )
+        white = np.sqrt(self.weight)[:, None] / sigma
+        white[self.azimuth_only, 1] = 0.0
+        return np.asarray(white)
+
+    def refresh(self, path: Path, values: Values) -> None:
+        """Take distances (for position noise) and times (of the walks) from an estimate."""
+        found, place, *_ = self._find(path, path.at_state(values.path, jacobian=False), values)
+        self._white = self._whitening(found.distance_m)
+        self._walk_time = place.time_s.copy()
+
+    def subset(self, index: NDArray[np.int64]) -> BearingFamily:
+        columns = {name: column[index] for name, column in vars(self.bearings).items()}
+        part = BearingFamily(
+            type(self.bearings)(**columns),
+            geometry=self.geometry,
+            states=self.states,
+            walk_scale=self.walk_scale,
+            speed_m_s=self.speed_m_s,
+            weight=self.weight[index],
+            position_noise_m=self.position_noise_m[index],
+        )
+        part._light_time = self._light_time[index]
+        part._walk_time = self._walk_time[index]
+        part._white = self._white[index]
+        return part
+
+    def _errors(
+        self, path: Path, values: Values, interval: NDArray[np.int64] | None
+    ) -> NDArray[np.float64]:
+        """Return the errors of all channels, shape (n, 6); walks read in the given intervals."""
+        if interval is None or not self.terms.walks.row.size:
+            return self.terms.errors(values.constants, None, None, None)
+        fraction = self._fraction(path, interval)
+        return self.terms.errors(values.constants, values.walks, interval, fraction)
+
+    def _fraction(self, path: Path, interval: NDArray[np.int64]) -> NDArray[np.float64]:
+        return (self._walk_time - path.knots_s[interval]) / path.steps_s[interval]
+
+    def _find(
+        self, path: Path, state: PathState, values: Values
+    ) -> tuple[Sight, Place, SensorPoses, NDArray[np.float64]]:
+        """Solve for the light times; return sights, places, poses and errors of all channels."""
+        interval = None
+        if self.terms.walks.row.size:
+            interval = path.locate(self._walk_time).interval
+        errors = self._errors(path, values, interval)
+        received = self.bearings.time_s - errors[:, CLOCK]
+        poses = self._poses
+        if poses is None or self._clocked:
+            poses = self.geometry.poses(self.bearings.sensor, received)
+            if not self._clocked:
+                self._poses = poses
+        position = poses.position_m + errors[:, POSITION : POSITION + 3]
+        for _ in range(_LIGHT_TIME_ROUNDS):
+            place = self._locate(path, received - self._light_time)
+            at, velocity = state.position_velocity(place)
+            found = sight(at, velocity, position, self._light_time, self.spin_rad_s)
+            if np.isinf(self.speed_m_s):
+                break
+            correction = light_time_correction(found, self.speed_m_s)
+            if not np.abs(correction).max(initial=0.0) > _LIGHT_TIME_TOLERANCE_S:
+                # What is left is below a microsecond: straight motion meets it.
+                found = sight(
+                    at - velocity * correction[:, None],
+                    velocity,
+                    position,
+                    self._light_time + correction,
+                    self.spin_rad_s,
+                )
+                break
+            self._light_time = np.maximum(self._light_time + correction, 0.0)
+        return found, place, poses, errors
+
+    def _locate(self, path: Path, time_s: NDArray[np.float64]) -> Place:
+        # Places are most of the work where nothing moves them, so the last ones are kept.
+        if self._place is not None and self._place[0] is path:
+            place = self._place[1]
+            if np.array_equal(place.time_s, time_s):
+                return place
+        place = path.locate(time_s)
+        self._place = (path, place)
+        return place
+
+    def _residual(
+        self, sight_axes: NDArray[np.float64], errors: NDArray[np.float64], jacobian: bool
+    ) -> BearingResidual:
+        azimuth = self.bearings.azimuth_rad - errors[:, AZIMUTH]
+        elevation = self.bearings.elevation_rad - errors[:, ELEVATION]
+        if self._uniform:
+            return tangent_residual(sight_axes, azimuth, elevation, jacobian=jacobian)
+        level = np.where(self.azimuth_only, 0.0, elevation)
+        result = tangent_residual(sight_axes, azimuth, level, jacobian=jacobian)
+        other = ~self._tangent
+        plain = coordinate_residual(
+            sight_axes[other], azimuth[other], elevation[other], jacobian=jacobian
+        )
+        result.value[other] = plain.value
+        if jacobian:
+            assert result.by_line_of_sight is not None
+            assert result.by_error is not None
+            result.by_line_of_sight[other] = plain.by_line_of_sight
+            result.by_error[other] = plain.by_error
+        return result
+
+    def evaluate(
+        self, path: Path, state: PathState, values: Values, *, jacobian: bool
+    ) -> Evaluation:
+        """Evaluate all bearings at one point; see :class:`Evaluation`."""
+        found, place, poses, errors = self._find(path, state, values)
+        line = found.line_of_sight_m
+        if self.terms.walks.row.size:
+            # Read where the derivative is taken, in the interval of the emission.
+            errors = self._errors(path, values, place.interval)
+        sight_axes = np.matmul(poses.axes, line[:, :, None])[:, :, 0]
+        result = self._residual(sight_axes, errors, jacobian)
+        white = self._white
+        residual = result.value * white
+        constant, walks = self.terms.constants, self.terms.walks
+        fraction = (
+            self._fraction(path, place.interval)[walks.row] if walks.row.size else np.empty(0)
+        )
+        by_knots: NDArray[np.float64] | None = None
+        by_channel = np.zeros((0, 2, 6))
+        if jacobian:
+            by_channel, by_knots = self._derivatives(result, found, place, poses, state)
+        return Evaluation(
+            residual,
+            place.interval,
+            by_knots,
+            constant.row,
+            constant.column,
+            by_channel[constant.row, :, constant.channel] * constant.basis[:, None]
+            if jacobian
+            else np.zeros((0, 2)),
+            walks.row,
+            walks.column,
+            fraction,
+            by_channel[walks.row, :, walks.channel] * walks.basis[:, None]
+            if jacobian
+            else np.zeros((0, 2)),
+        )
+
+    def _derivatives(
+        self,
+        result: BearingResidual,
+        found: Sight,
+        place: Place,
+        poses: SensorPoses,
+        state: PathState,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return whitened derivatives by the channels (n, 2, 6) and by the knots' states.
+
+        With the line of sight l = P - S, the aberration matrix E and the frame's turn R during the
+        light time: dl = E (R dp + (R v - dS/dt) dt - dS), where dt = -(clock error); turning axes
+        add their own derivative (docs/models.md).
+        """
+        assert result.by_line_of_sight is not None
+        assert result.by_error is not None
+        white = self._white[:, :, None]
+        in_axes = result.by_line_of_sight * white
+        by_sight = in_axes @ poses.axes
+        if np.isfinite(self.speed_m_s):
+            by_sight = by_sight @ found.aberration(self.speed_m_s)
+        by_channel = np.zeros((len(self), 2, 6))
+        by_channel[:, :, AZIMUTH : ELEVATION + 1] = result.by_error * white
+        by_channel[:, :, POSITION : POSITION + 3] = -by_sight
+        if self._clocked:
+            closing = found.velocity_m_s - poses.velocity_m_s
+            by_time = np.matmul(by_sight, closing[:, :, None])[:, :, 0]
+            if poses.axes_rate is not None:
+                turned = np.matmul(poses.axes_rate, found.line_of_sight_m[:, :, None])
+                by_time += np.matmul(in_axes, turned)[:, :, 0]
+            by_channel[:, :, CLOCK] = -by_time
+        by_position = by_sight
+        if self.spin_rad_s != 0.0:
+            # The transpose of the turn to the axes at reception, applied to rows.
+            angle = self.spin_rad_s * found.light_time_s
+            sine, cosine = np.sin(angle)[:, None], np.cos(angle)[:, None]
+            by_position = by_sight.copy()
+            by_position[:, :, 0] = cosine * by_sight[:, :, 0] - sine * by_sight[:, :, 1]
+            by_position[:, :, 1] = sine * by_sight[:, :, 0] + cosine * by_sight[:, :, 1]
+        return by_channel, state.chain(place, by_position, None)
+
+    def predicted(
+        self, path: Path, values: Values
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return what the sensors should have measured, shape (n, 2), rad, distances and times.
+
+        The prediction includes the sensors' estimated errors; azimuths lie within half a turn of
+        the measured ones. Distances (n,) are in metres, times (n,) those of emission in seconds.
+        """
+        state = path.at_state(values.path, jacobian=False)
+        found, place, poses, errors = self._find(path, state, values)
+        sight_axes = np.matmul(poses.axes, found.line_of_sight_m[:, :, None])[:, :, 0]
+        bearing, _ = predict_bearing(sight_axes)
+        bearing += errors[:, [AZIMUTH, ELEVATION]]
+        turns = np.round((self.bearings.azimuth_rad - bearing[:, 0]) / (2.0 * np.pi))
+        bearing[:, 0] += 2.0 * np.pi * turns
+        return bearing, found.distance_m, place.time_s

@@ -1,0 +1,123 @@
+"""What is known of the path itself: its height, its speed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geograph.factors.constraints import altitude, speed
+from geograph.families.base import Evaluation, Family, Values, path_only_evaluation
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from geograph.path import Path, PathState
+    from geograph.recording import Frame
+
+
+class _ConstraintFamily(Family):
+    """Scalar functions of position and velocity at given times, or along the whole path.
+
+    Parameters
+    ----------
+    time_s
+        Shape (n,); NaN: the whole path. The object is then held to the value at every knot, each
+        weighted so that all knots together count as one measurement: one error of the stated sigma
+        common to the whole path.
+    value, sigma
+        Shape (n,), in the unit of the constraint.
+    line
+        Shape (n,): lines in the file.
+    frame
+        The recording's frame.
+    """
+
+    rows = 1
+
+    def __init__(
+        self,
+        *,
+        time_s: NDArray[np.float64],
+        value: NDArray[np.float64],
+        sigma: NDArray[np.float64],
+        line: NDArray[np.int64],
+        frame: Frame,
+    ) -> None:
+        self.time_s = time_s
+        self.value = value
+        self.sigma = sigma
+        self.line = line
+        self.frame: Frame = frame
+        self.row_count = int(time_s.size)
+
+    def expanded(self, knots_s: NDArray[np.float64]) -> _ConstraintFamily:
+        """Return the family with whole-path rows put at every knot."""
+        whole = np.isnan(self.time_s)
+        if not whole.any():
+            return self
+        count = knots_s.size
+        timed = ~whole
+
+        def spread(column: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.concatenate([column[timed], np.repeat(column[whole], count)])
+
+        expanded = type(self)(
+            time_s=np.concatenate([self.time_s[timed], np.tile(knots_s, int(whole.sum()))]),
+            value=spread(self.value),
+            sigma=np.concatenate(
+                [self.sigma[timed], np.repeat(self.sigma[whole], count) * np.sqrt(count)]
+            ),
+            line=np.concatenate([self.line[timed], np.repeat(self.line[whole], count)]),
+            frame=self.frame,
+        )
+        expanded.row_count = self.row_count
+        return expanded
+
+    def subset(self, index: NDArray[np.int64]) -> _ConstraintFamily:
+        return type(self)(
+            time_s=self.time_s[index],
+            value=self.value[index],
+            sigma=self.sigma[index],
+            line=self.line[index],
+            frame=self.frame,
+        )
+
+
+class AltitudeFamily(_ConstraintFamily):
+    """Height above the WGS 84 ellipsoid, or z in a local frame, metres."""
+
+    name = "altitude_m"
+
+    def evaluate(
+        self, path: Path, state: PathState, values: Values, *, jacobian: bool
+    ) -> Evaluation:
+        del values
+        place = path.locate(self.time_s)
+        position, _ = state.position_velocity(place)
+        predicted, gradient = altitude(position, self.frame)
+        residual = ((predicted - self.value) / self.sigma)[:, None]
+        if not jacobian:
+            return path_only_evaluation(residual, place.interval, None)
+        rows = (gradient / self.sigma[:, None])[:, None, :]
+        return path_only_evaluation(residual, place.interval, state.chain(place, rows, None))
+
+
+class SpeedFamily(_ConstraintFamily):
+    """Speed in the recording's frame, metres per second."""
+
+    name = "speed_m_s"
+
+    def evaluate(
+        self, path: Path, state: PathState, values: Values, *, jacobian: bool
+    ) -> Evaluation:
+        del values
+        place = path.locate(self.time_s)
+        _, velocity = state.position_velocity(place)
+        predicted, gradient = speed(velocity)
+        residual = ((predicted - self.value) / self.sigma)[:, None]
+        if not jacobian:
+            return path_only_evaluation(residual, place.interval, None)
+        rows = (gradient / self.sigma[:, None])[:, None, :]
+        chained = state.chain(place, np.zeros_like(rows), rows)
+        return path_only_evaluation(residual, place.interval, chained)

@@ -1,0 +1,117 @@
+"""Where sensors are and how their axes lie, at many times in one pass.
+
+Rows of a sensor's axes are the direction of azimuth zero, of azimuth 90 degrees and of elevation 90
+degrees, in the recording's frame (see :mod:`geograph.factors.bearing`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geograph.constants import EARTH_ROTATION_RAD_S
+from geograph.errors import InputError
+from geograph.geodesy import enu_axes, enu_axes_rate
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from geograph.recording import Frame
+    from geograph.sensors import Sensor
+
+# East, north, up to north, east, up.
+_NORTH_EAST_UP = np.array([1, 0, 2])
+
+
+def frame_spin_rad_s(frame: Frame) -> float:
+    """Return the angular speed of a frame about its z axis, radians per second."""
+    return EARTH_ROTATION_RAD_S if frame == "ecef" else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class SensorPoses:
+    """Poses of sensors at n times, in the frame.
+
+    Attributes
+    ----------
+    position_m, velocity_m_s
+        Shape (n, 3).
+    axes
+        Shape (n, 3, 3).
+    axes_rate
+        Shape (n, 3, 3), 1/s; None where no axes turn.
+    """
+
+    position_m: NDArray[np.float64]
+    velocity_m_s: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    axes_rate: NDArray[np.float64] | None
+
+
+class SensorGeometry:
+    """The sensors of one recording, ready to be asked for their poses.
+
+    Parameters
+    ----------
+    sensors
+        In the order of their indices.
+    frame
+        The recording's frame.
+
+    Raises
+    ------
+    InputError
+        If a sensor's axes are not supported by this version.
+    """
+
+    def __init__(self, sensors: Sequence[Sensor], frame: Frame) -> None:
+        self.sensors = sensors
+        self.frame: Frame = frame
+        count = len(sensors)
+        self._position = np.zeros((count, 3))
+        self._axes = np.zeros((count, 3, 3))
+        self._moving = np.zeros(count, dtype=bool)
+        for index, sensor in enumerate(sensors):
+            if sensor.axes not in ("enu", "xyz"):
+                raise InputError(
+                    f"sensor {sensor.name!r} measures in {sensor.axes!r} axes, which this version "
+                    "does not support; expected enu or xyz"
+                )
+            self._axes[index] = np.eye(3)
+            if sensor.trajectory is not None:
+                self._moving[index] = True
+                continue
+            assert sensor.position_m is not None
+            self._position[index] = sensor.position_m
+            if sensor.axes == "enu":
+                self._axes[index] = self._enu(sensor.position_m)
+
+    def _enu(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self.frame == "local":
+            return np.broadcast_to(np.eye(3), (*position_m.shape[:-1], 3, 3))[
+                ..., _NORTH_EAST_UP, :
+            ]
+        return enu_axes(position_m)[..., _NORTH_EAST_UP, :]
+
+    def poses(self, sensor: NDArray[np.int64], time_s: NDArray[np.float64]) -> SensorPoses:
+        """Return the poses of sensors (indices, shape (n,)) at times (shape (n,), seconds)."""
+        position = self._position[sensor]
+        axes = self._axes[sensor]
+        velocity = np.zeros_like(position)
+        rate: NDArray[np.float64] | None = None
+        for index in np.flatnonzero(self._moving & np.isin(np.arange(self._moving.size), sensor)):
+            rows = np.flatnonzero(sensor == index)
+            mover = self.sensors[index]
+            position[rows] = mover.position_at(time_s[rows])
+            velocity[rows] = mover.velocity_at(time_s[rows])
+            if mover.axes == "enu":
+                axes[rows] = self._enu(position[rows])
+                if self.frame == "ecef":
+                    rate = np.zeros_like(axes) if rate is None else rate
+                    turning = enu_axes_rate(position[rows], velocity[rows])
+                    rate[rows] = turning[:, _NORTH_EAST_UP]
+        return SensorPoses(position, velocity, axes, rate)

@@ -1,0 +1,213 @@
+"""Motion models: the Gaussian-process prior of the path between knots.
+
+A prior turns two neighbouring knots' states into white residuals of unit variance, and says how the
+later state follows from the earlier one and the noise:
+
+    x[k+1] = f(x[k]) + L w[k],    w[k] of unit covariance,
+
+with f a Taylor polynomial (constant position, velocity, acceleration) or free fall (ballistic).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from geograph.errors import InputError
+from geograph.factors.gravity import propagate
+from geograph.factors.kinematics import (
+    noise_covariance,
+    noise_square_root,
+    spatial_square_root,
+    spatial_square_root_derivative,
+    transition,
+)
+from geograph.path import BallisticPath, KinematicPath, Order, Path
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from geograph.recording import Frame, MotionName
+
+_ORDERS: dict[str, Order] = {
+    "static": 1,
+    "constant-position": 1,
+    "constant-velocity": 2,
+    "constant-acceleration": 3,
+    "ballistic": 2,
+    "orbital": 2,
+}
+
+
+@dataclass(frozen=True)
+class Density:
+    """Square root of the spectral density of the noise that drives a motion.
+
+    Attributes
+    ----------
+    axes
+        Along x, y and z of the frame, or across the velocity (then all alike).
+    along
+        Along the velocity; None: the noise does not follow the velocity.
+    """
+
+    axes: tuple[float, float, float]
+    along: float | None = None
+
+    @classmethod
+    def of(cls, noise: float | tuple[float, float, float], along: float | None = None) -> Density:
+        """Return the density of a setting; see :class:`geograph.SmoothSettings`."""
+        axes = noise if isinstance(noise, tuple) else (noise, noise, noise)
+        return cls(axes, along)
+
+    @property
+    def largest(self) -> float:
+        """The greatest of its values."""
+        return max(*self.axes, self.along or 0.0)
+
+    def scaled(self, factor: float) -> Density:
+        """Return all values multiplied by a factor."""
+        x, y, z = (factor * value for value in self.axes)
+        return Density((x, y, z), None if self.along is None else factor * self.along)
+
+    def square_root(
+        self, velocity_m_s: NDArray[np.float64] | None, count: int
+    ) -> NDArray[np.float64]:
+        """Return the spatial square roots, shape (n, 3, 3)."""
+        if self.along is None or velocity_m_s is None:
+            return np.broadcast_to(np.diag(self.axes), (count, 3, 3))
+        return spatial_square_root(velocity_m_s, self.axes[0], self.along)
+
+    def inverse_square_root(
+        self, velocity_m_s: NDArray[np.float64] | None, count: int
+    ) -> NDArray[np.float64]:
+        """Return the inverses of the spatial square roots, shape (n, 3, 3)."""
+        if self.along is None or velocity_m_s is None:
+            return np.broadcast_to(np.diag(1.0 / np.array(self.axes)), (count, 3, 3))
+        return spatial_square_root(velocity_m_s, 1.0 / self.axes[0], 1.0 / self.along)
+
+
+@dataclass(frozen=True, eq=False)
+class Transitions:
+    """All transitions between knots, linearised; SI units.
+
+    Attributes
+    ----------
+    residual
+        Shape (K - 1, 3m): whitened, w[k] = L^-1 (x[k+1] - f(x[k])).
+    transition
+        Shape (K - 1, 3m, 3m): derivative of x[k+1] by x[k] at fixed w[k].
+    noise_root
+        Shape (K - 1, 3m, 3m): L.
+    """
+
+    residual: NDArray[np.float64]
+    transition: NDArray[np.float64]
+    noise_root: NDArray[np.float64]
+
+
+class Motion:
+    """A motion model with its noise.
+
+    Parameters
+    ----------
+    name
+        One of the names of :class:`geograph.SmoothSettings`.
+    density
+        Noise density; ignored by ``static``.
+    frame
+        Frame of the recording, which the ballistic model needs.
+    """
+
+    def __init__(self, name: MotionName, density: Density, frame: Frame) -> None:
+        self.name: MotionName = name
+        self.order: Order = _ORDERS[name]
+        self.density = density
+        self.frame: Literal["ecef", "local"] = frame
+        self.static = name == "static"
+        self.ballistic = name in ("ballistic", "orbital")
+        if density.along is not None and self.order == 1:
+            raise InputError("noise along the velocity needs a motion that has a velocity")
+
+    def with_density(self, density: Density) -> Motion:
+        """Return the same motion with other noise."""
+        return Motion(self.name, density, self.frame)
+
+    def path(self, knots_s: NDArray[np.float64]) -> Path:
+        """Return the path of this motion over given knots, shape (K,)."""
+        if self.ballistic:
+            return BallisticPath(knots_s, self.frame)
+        return KinematicPath(knots_s, self.order)
+
+    def predict(
+        self, state: NDArray[np.float64], step_s: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return f(x), shape (n, 3m), and its derivative, shape (n, 3m, 3m).
+
+        Parameters
+        ----------
+        state
+            Shape (n, 3m), SI units.
+        step_s
+            Shape (n,), seconds.
+        """
+        if self.ballistic:
+            return propagate(state, step_s, self.frame)
+        matrix = np.kron(transition(self.order, step_s), np.eye(3))
+        return np.matmul(matrix, state[:, :, None])[:, :, 0], matrix
+
+    def noise(self, state: NDArray[np.float64], step_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the covariance that the noise adds over a step, shape (n, 3m, 3m), SI units."""
+        if self.static:
+            return np.zeros((step_s.size, 3, 3))
+        root = self.density.square_root(self._velocity(state), step_s.size)
+        unit = noise_covariance(self.order, step_s)
+        return kron_stack(unit, root @ np.swapaxes(root, -1, -2))
+
+    def _velocity(self, state: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        return state[:, 3:6] if self.order > 1 else None
+
+    def transitions(self, state: NDArray[np.float64], steps_s: NDArray[np.float64]) -> Transitions:
+        """Linearise all transitions of a path.
+
+        Parameters
+        ----------
+        state
+            Shape (K, 3m): states of the knots.
+        steps_s
+            Shape (K - 1,): intervals between them.
+        """
+        first, second = state[:-1], state[1:]
+        count, size = first.shape
+        predicted, matrix = self.predict(first, steps_s)
+        if self.static:
+            return Transitions(np.zeros((count, size)), matrix, np.zeros((count, size, size)))
+        velocity = self._velocity(first)
+        unit_root = noise_square_root(self.order, steps_s)
+        root = kron_stack(unit_root, self.density.square_root(velocity, count))
+        miss = np.linalg.solve(unit_root, (second - predicted).reshape(count, self.order, 3))
+        inverse = self.density.inverse_square_root(velocity, count)
+        residual = (miss @ np.swapaxes(inverse, -1, -2)).reshape(count, size)
+        along = self.density.along
+        if along is not None and velocity is not None:
+            # The whitening turns with the velocity: at fixed w that, too, moves x[k+1].
+            turning = spatial_square_root_derivative(
+                velocity, 1.0 / self.density.axes[0], 1.0 / along, miss
+            ).reshape(count, size, 3)
+            matrix = matrix.copy()
+            matrix[:, :, 3:6] -= root @ turning
+        return Transitions(residual, matrix, root)
+
+    def cost(self, state: NDArray[np.float64], steps_s: NDArray[np.float64]) -> float:
+        """Return half the sum of squared whitened residuals of all transitions."""
+        return 0.5 * float(np.sum(self.transitions(state, steps_s).residual ** 2))
+
+
+def kron_stack(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return Kronecker products of stacks of matrices, shapes (n, a, a) and (n, b, b)."""
+    count, a, _ = left.shape
+    b = right.shape[-1]
+    product = left[:, :, None, :, None] * right[:, None, :, None, :]
+    return np.asarray(product.reshape(count, a * b, a * b))

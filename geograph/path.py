@@ -1,0 +1,249 @@
+"""Paths between knots: where the object is at any time, as a function of the knots' states.
+
+A path evaluates position and velocity at many times in one vectorised pass, and turns derivatives by
+position and velocity into derivatives by the two neighbouring knots' states. Measurements know
+nothing else of the motion.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from geograph.factors.gravity import acceleration, propagate
+from geograph.factors.kinematics import interpolation_weights
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+Order = Literal[1, 2, 3]
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where times lie among the knots, with the weights of both neighbours.
+
+    Attributes
+    ----------
+    time_s
+        Shape (n,).
+    interval
+        Shape (n,), integer: index of the knot before each time (clipped to the first and last
+        interval).
+    offset_s, step_s
+        Shape (n,): time since that knot and length of the interval.
+    position_weights, velocity_weights
+        Shape (n, w): of the path's basis (see :class:`Path`).
+    """
+
+    time_s: NDArray[np.float64]
+    interval: NDArray[np.int64]
+    offset_s: NDArray[np.float64]
+    step_s: NDArray[np.float64]
+    position_weights: NDArray[np.float64]
+    velocity_weights: NDArray[np.float64]
+
+
+class Path(ABC):
+    """A path over knots at given times.
+
+    Parameters
+    ----------
+    knots_s
+        Shape (K,): strictly increasing; one knot for a static object.
+    order
+        Blocks of three in a knot's state: position, velocity, acceleration.
+    """
+
+    def __init__(self, knots_s: NDArray[np.float64], order: Order) -> None:
+        self.knots_s = knots_s
+        self.order: Order = order
+        self.steps_s = np.diff(knots_s) if knots_s.size > 1 else np.ones(1)
+
+    def locate(self, time_s: NDArray[np.float64]) -> Place:
+        """Return the place of times, shape (n,), among the knots."""
+        last = max(self.knots_s.size - 2, 0)
+        interval = np.searchsorted(self.knots_s, time_s, side="right") - 1
+        interval = np.clip(interval, 0, last)
+        offset = time_s - self.knots_s[interval]
+        step = self.steps_s[interval]
+        position, velocity = self._weights(step, offset)
+        return Place(time_s, interval, offset, step, position, velocity)
+
+    @abstractmethod
+    def _weights(
+        self, step_s: NDArray[np.float64], offset_s: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return weights of the basis for position and velocity, each shape (n, w)."""
+
+    @abstractmethod
+    def at_state(self, state: NDArray[np.float64], *, jacobian: bool) -> PathState:
+        """Return the path through given knots' states, shape (K, 3 order)."""
+
+
+class PathState(ABC):
+    """A path with its knots' states filled in."""
+
+    @abstractmethod
+    def position_velocity(self, place: Place) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return position and velocity, each shape (n, 3)."""
+
+    @abstractmethod
+    def chain(
+        self,
+        place: Place,
+        by_position: NDArray[np.float64],
+        by_velocity: NDArray[np.float64] | None,
+    ) -> NDArray[np.float64]:
+        """Return derivatives by both neighbours' states, shape (n, r, 2, 3 order).
+
+        Parameters
+        ----------
+        place
+            Where the n times lie.
+        by_position, by_velocity
+            Shape (n, r, 3): derivatives by position and velocity at those times.
+        """
+
+
+class KinematicPath(Path):
+    """A path whose prior mean is a Taylor polynomial: Hermite interpolation between knots.
+
+    The basis is the 2m blocks of both neighbours. With one knot the object does not move.
+    """
+
+    def _weights(
+        self, step_s: NDArray[np.float64], offset_s: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        if self.knots_s.size == 1:
+            constant = np.zeros((offset_s.size, 2))
+            constant[:, 0] = 1.0
+            return constant, np.zeros((offset_s.size, 2))
+        position = interpolation_weights(self.order, step_s, offset_s)
+        velocity = interpolation_weights(self.order, step_s, offset_s, derivative=1)
+        return position, velocity
+
+    def at_state(self, state: NDArray[np.float64], *, jacobian: bool = False) -> KinematicPathState:
+        """Return the path through given knots' states, shape (K, 3 order)."""
+        del jacobian
+        return KinematicPathState(self, state)
+
+
+class KinematicPathState(PathState):
+    """See :class:`KinematicPath`."""
+
+    def __init__(self, path: KinematicPath, state: NDArray[np.float64]) -> None:
+        self._order = path.order
+        following = state[1:] if state.shape[0] > 1 else np.zeros_like(state)
+        both = np.concatenate([state[: following.shape[0]], following], axis=1)
+        self._blocks = both.reshape(following.shape[0], 2 * path.order, 3)
+
+    def position_velocity(self, place: Place) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        blocks = self._blocks[place.interval]
+        position = np.matmul(place.position_weights[:, None, :], blocks)[:, 0]
+        velocity = np.matmul(place.velocity_weights[:, None, :], blocks)[:, 0]
+        return position, velocity
+
+    def chain(
+        self,
+        place: Place,
+        by_position: NDArray[np.float64],
+        by_velocity: NDArray[np.float64] | None,
+    ) -> NDArray[np.float64]:
+        count, rows, _ = by_position.shape
+        result = place.position_weights[:, None, :, None] * by_position[:, :, None, :]
+        if by_velocity is not None:
+            result += place.velocity_weights[:, None, :, None] * by_velocity[:, :, None, :]
+        return result.reshape(count, rows, 2, 3 * self._order)
+
+
+class BallisticPath(Path):
+    """Free fall between knots, with white noise on the acceleration.
+
+    Inside an interval the path is the fall from its first knot plus the share of the miss at the
+    second knot that the noise's Gaussian process gives (cubic Hermite). The fall itself is the
+    quintic Hermite polynomial through position, velocity and acceleration at both of its ends,
+    which is good to 0.01 mm over 60 s in the lowest orbit.
+
+    Parameters
+    ----------
+    knots_s
+        Shape (K,): strictly increasing, K >= 2.
+    frame
+        ``"ecef"`` or ``"local"``; see :mod:`geograph.factors.gravity`.
+    """
+
+    LONGEST_STEP_S = 60.0
+    """Longest interval over which the quintic polynomial stays below a tenth of a millimetre."""
+
+    def __init__(self, knots_s: NDArray[np.float64], frame: Literal["ecef", "local"]) -> None:
+        super().__init__(knots_s, 2)
+        self.frame: Literal["ecef", "local"] = frame
+
+    def _weights(
+        self, step_s: NDArray[np.float64], offset_s: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        def both(derivative: int) -> NDArray[np.float64]:
+            fall = interpolation_weights(3, step_s, offset_s, derivative=derivative)
+            miss = interpolation_weights(2, step_s, offset_s, derivative=derivative)[:, 2:]
+            # The miss is (second state) - (end of the fall): six blocks of the fall, then x[k+1].
+            fall[:, 3:5] -= miss
+            return np.concatenate([fall, miss], axis=1)
+
+        return both(0), both(1)
+
+    def at_state(self, state: NDArray[np.float64], *, jacobian: bool = False) -> BallisticPathState:
+        """Return the path through given knots' states, shape (K, 6)."""
+        return BallisticPathState(self, state, jacobian=jacobian)
+
+
+class BallisticPathState(PathState):
+    """See :class:`BallisticPath`; ``fall`` and ``fall_jacobian`` end at the following knot."""
+
+    def __init__(self, path: BallisticPath, state: NDArray[np.float64], *, jacobian: bool) -> None:
+        first, second = state[:-1], state[1:]
+        count = first.shape[0]
+        self.fall, self.fall_jacobian = propagate(first, path.steps_s, path.frame)
+        start, start_p, start_v = acceleration(first[:, :3], first[:, 3:], path.frame)
+        end, end_p, end_v = acceleration(self.fall[:, :3], self.fall[:, 3:], path.frame)
+        self._basis = np.concatenate([first, start, self.fall, end, second], axis=1).reshape(
+            count, 8, 3
+        )
+        if jacobian:
+            derivative = np.empty((count, 6, 3, 6))
+            derivative[:, :2] = np.eye(6).reshape(2, 3, 6)
+            derivative[:, 2] = np.concatenate([start_p, start_v], axis=2)
+            derivative[:, 3:5] = self.fall_jacobian.reshape(count, 2, 3, 6)
+            derivative[:, 5] = end_p @ self.fall_jacobian[:, :3] + end_v @ self.fall_jacobian[:, 3:]
+            self._derivative = derivative.reshape(count, 6, 18)
+
+    def position_velocity(self, place: Place) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        basis = self._basis[place.interval]
+        position = np.matmul(place.position_weights[:, None, :], basis)[:, 0]
+        velocity = np.matmul(place.velocity_weights[:, None, :], basis)[:, 0]
+        return position, velocity
+
+    def chain(
+        self,
+        place: Place,
+        by_position: NDArray[np.float64],
+        by_velocity: NDArray[np.float64] | None,
+    ) -> NDArray[np.float64]:
+        count, rows, _ = by_position.shape
+        derivative = self._derivative[place.interval]
+        result = np.empty((count, rows, 2, 6))
+
+        def accumulate(weights: NDArray[np.float64], by: NDArray[np.float64], first: bool) -> None:
+            by_first = np.matmul(weights[:, None, :6], derivative).reshape(count, 3, 6)
+            one = by @ by_first
+            two = (weights[:, None, 6:, None] * by[:, :, None, :]).reshape(count, rows, 6)
+            result[:, :, 0] = one if first else result[:, :, 0] + one
+            result[:, :, 1] = two if first else result[:, :, 1] + two
+
+        accumulate(place.position_weights, by_position, True)
+        if by_velocity is not None:
+            accumulate(place.velocity_weights, by_velocity, False)
+        return result

@@ -1,0 +1,238 @@
+"""A smoothing problem: knots, motion, families of measurements, sensor states, and their scales.
+
+The cost is, with whitened residuals r,
+
+    sum of rho(|r|^2) / 2 over measurements + sum of |r|^2 / 2 over transitions and priors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geograph.blocks import BlockSum, ColumnLayout
+from geograph.eliminate import LinearSystem, Step
+from geograph.families import Values
+from geograph.losses import Loss
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from geograph.families import Evaluation, Family
+    from geograph.motion import Motion
+    from geograph.states import SensorStates
+
+# A walk starts at zero; this fraction of its scale is small against anything it can become, and
+# large enough to keep the system well conditioned.
+_WALK_START_SIGMA = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class PathPrior:
+    """Weak prior of the first knot, so that every problem is determined.
+
+    Attributes
+    ----------
+    mean
+        Shape (3m,), SI.
+    sigma
+        Shape (3m,), SI; chosen so wide that data that determine the path do not feel it.
+    """
+
+    mean: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+
+
+class Problem:
+    """All that the solver needs to know.
+
+    Parameters
+    ----------
+    motion
+        Motion model with its noise.
+    knots_s
+        Shape (K,): times of the knots; one for a static object without walks.
+    families
+        Measurements.
+    states
+        Sensor-error states.
+    walk_scale
+        Shape (w,): scales of the walks, SI.
+    prior
+        Weak prior of the first knot.
+    path_scale
+        Shape (3m,): scales of the path's components, SI.
+    loss
+        Loss of each measurement.
+    weights
+        For each family, fixed weights of its measurements (graduated non-convexity), or None.
+    """
+
+    def __init__(
+        self,
+        *,
+        motion: Motion,
+        knots_s: NDArray[np.float64],
+        families: Sequence[Family],
+        states: SensorStates,
+        walk_scale: NDArray[np.float64],
+        prior: PathPrior,
+        path_scale: NDArray[np.float64],
+        loss: Loss | None = None,
+        weights: Sequence[NDArray[np.float64] | None] | None = None,
+    ) -> None:
+        self.motion = motion
+        self.knots_s = knots_s
+        self.path = motion.path(knots_s)
+        self.families = list(families)
+        self.states = states
+        self.walk_scale = walk_scale
+        self.prior = prior
+        self.path_scale = path_scale
+        self.loss = loss or Loss("none")
+        self.weights = list(weights) if weights is not None else [None] * len(self.families)
+        self.steps_s = np.diff(knots_s)
+        self.layout = ColumnLayout(
+            3 * motion.order, walk_scale.size, states.size, chained=knots_s.size > 1
+        )
+        self.scale = np.concatenate([path_scale, np.ones(walk_scale.size)])
+        intervals = max(knots_s.size - 1, 1)
+        self._sums = [BlockSum(self.layout, intervals, path_scale) for _ in self.families]
+
+    def with_weights(
+        self, weights: Sequence[NDArray[np.float64] | None], loss: Loss | None = None
+    ) -> Problem:
+        """Return the problem with other weights (and loss), sharing all else."""
+        return self._copy(weights=weights, loss=loss or self.loss)
+
+    def with_motion(self, motion: Motion) -> Problem:
+        """Return the problem with other process noise, sharing all else."""
+        return self._copy(motion=motion)
+
+    def _copy(self, **changes: object) -> Problem:
+        arguments: dict[str, object] = {
+            "motion": self.motion,
+            "knots_s": self.knots_s,
+            "families": self.families,
+            "states": self.states,
+            "walk_scale": self.walk_scale,
+            "prior": self.prior,
+            "path_scale": self.path_scale,
+            "loss": self.loss,
+            "weights": self.weights,
+        }
+        return Problem(**(arguments | changes))  # type: ignore[arg-type]
+
+    @property
+    def measurement_rows(self) -> int:
+        """Scalar measurements in all."""
+        return sum(family.row_count for family in self.families)
+
+    def evaluate(self, values: Values, *, jacobian: bool) -> list[Evaluation]:
+        """Evaluate all families at one point."""
+        state = self.path.at_state(values.path, jacobian=jacobian)
+        return [
+            family.evaluate(self.path, state, values, jacobian=jacobian) for family in self.families
+        ]
+
+    def _measurement_cost(
+        self, found: Evaluation, weight: NDArray[np.float64] | None
+    ) -> tuple[float, NDArray[np.float64] | None]:
+        """Return a family's cost and the weights of its measurements' information."""
+        square = np.einsum("ij,ij->i", found.residual, found.residual)
+        if self.loss.name == "none":
+            if weight is None:
+                return 0.5 * float(square.sum()), None
+            return 0.5 * float(weight @ square), weight
+        value, slope = self.loss.value_and_weight(square)
+        if weight is not None:
+            return 0.5 * float(weight @ value), weight * slope
+        return 0.5 * float(value.sum()), slope
+
+    def cost(self, values: Values) -> float:
+        """Return the cost at one point; not finite where a prediction is not."""
+        total = self._prior_cost(values)
+        for found, weight in zip(self.evaluate(values, jacobian=False), self.weights, strict=True):
+            total += self._measurement_cost(found, weight)[0]
+        return total
+
+    def _prior_cost(self, values: Values) -> float:
+        start = (values.path[0] - self.prior.mean) / self.prior.sigma
+        total = 0.5 * float(start @ start + values.constants @ values.constants)
+        if self.knots_s.size > 1:
+            total += self.motion.cost(values.path, self.steps_s)
+            if self.walk_scale.size:
+                walk = self._walk_residual(values)
+                total += 0.5 * float(np.sum(walk**2))
+                total += 0.5 * float(np.sum((values.walks[0] / _WALK_START_SIGMA) ** 2))
+        return total
+
+    def _walk_roots(self) -> NDArray[np.float64]:
+        """Return what a walk adds over each interval, shape (K - 1, w), scaled."""
+        return np.asarray(self.states.diffusion * np.sqrt(self.steps_s)[:, None] / self.walk_scale)
+
+    def _walk_residual(self, values: Values) -> NDArray[np.float64]:
+        return np.diff(values.walks, axis=0) / self._walk_roots()
+
+    def linearise(self, values: Values) -> LinearSystem:
+        """Return the linear system of scaled increments at one point."""
+        width = self.layout.width
+        blocks = np.zeros((max(self.knots_s.size - 1, 1), width, width))
+        cost = self._prior_cost(values)
+        for found, weight, total in zip(
+            self.evaluate(values, jacobian=True), self.weights, self._sums, strict=True
+        ):
+            share, information_weight = self._measurement_cost(found, weight)
+            cost += share
+            root = None if information_weight is None else np.sqrt(information_weight)
+            total.add(blocks, found, root)
+        walks = self.walk_scale.size
+        start = (values.path[0] - self.prior.mean) / self.prior.sigma
+        ratio = self.path_scale / self.prior.sigma
+        information = np.concatenate([ratio**2, np.full(walks, _WALK_START_SIGMA**-2)])
+        gradient = np.concatenate([ratio * start, values.walks[0] / _WALK_START_SIGMA**2])
+        inverse, root, residual = self._transitions(values)
+        return LinearSystem(
+            blocks, inverse, root, residual, information, gradient, values.constants, cost
+        )
+
+    def _transitions(
+        self, values: Values
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return inverse transitions, noise roots and residuals of whole knots, scaled."""
+        count, d, m = self.knots_s.size - 1, self.layout.knot, self.layout.path
+        inverse = np.zeros((count, d, d))
+        root = np.zeros((count, d, d))
+        residual = np.zeros((count, d))
+        if not count:
+            return inverse, root, residual
+        found = self.motion.transitions(values.path, self.steps_s)
+        scale = self.path_scale
+        inverse[:, :m, :m] = np.linalg.inv(found.transition * scale / scale[:, None])
+        root[:, :m, :m] = found.noise_root / scale[:, None]
+        residual[:, :m] = found.residual
+        walk = np.arange(m, d)
+        if walk.size:
+            inverse[:, walk, walk] = 1.0
+            root[:, walk, walk] = self._walk_roots()
+            residual[:, m:] = self._walk_residual(values)
+        return inverse, root, residual
+
+    def moved(self, values: Values, step: Step) -> Values:
+        """Return the point a step away."""
+        m = self.layout.path
+        return replace(
+            values,
+            path=values.path + step.knots[:, :m] * self.path_scale,
+            walks=values.walks + step.knots[:, m:],
+            constants=values.constants + step.constants,
+        )
+
+    def refresh(self, values: Values) -> None:
+        """Bring what families hold fixed during a solve up to date with an estimate."""
+        for family in self.families:
+            family.refresh(self.path, values)

@@ -1,0 +1,160 @@
+"""Levenberg-Marquardt over a problem's structured linear systems.
+
+Plain Gauss-Newton steps as long as they lower the cost; damping, in scaled unknowns, is switched on
+when one does not, and fades again (J. Nocedal, S. J. Wright, *Numerical Optimization*, 2nd ed., 2006,
+section 10.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geograph.eliminate import Elimination, NotPositiveDefiniteError
+
+if TYPE_CHECKING:
+    from geograph.eliminate import LinearSystem, Step
+    from geograph.families import Values
+    from geograph.problem import Problem
+
+# Predicted decrease at which the estimate is final, in units of the cost. The estimate is then
+# within sqrt(2e-9) posterior sigmas of the minimum, and the step predicted is still taken.
+TOLERANCE = 1e-9
+
+_FIRST_DAMPING = 1e-4
+_LARGEST_DAMPING = 1e14
+
+
+class Status(str, Enum):
+    """How a solve ended."""
+
+    CONVERGED = "converged"
+    """The estimate is the minimum, and the data determine it."""
+
+    ITERATION_LIMIT = "iteration_limit"
+    """The limit of iterations came first; the estimate is the best point so far."""
+
+    DIVERGED = "diverged"
+    """No step lowers the cost, or the cost is not finite."""
+
+    UNOBSERVABLE = "unobservable"
+    """The data do not determine the path; the summary says what is missing."""
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where the solver ended.
+
+    Attributes
+    ----------
+    values
+        The estimate.
+    status
+        How it ended.
+    cost
+        Cost at the estimate.
+    iterations
+        Linear systems solved with a step accepted.
+    elimination
+        Undamped factorisation at the last linearisation point; None if there is none.
+    """
+
+    values: Values
+    status: Status
+    cost: float
+    iterations: int
+    elimination: Elimination | None
+
+
+def solve(
+    problem: Problem, values: Values, *, max_iterations: int = 100, tolerance: float = TOLERANCE
+) -> Solution:
+    """Minimise a problem's cost from a first guess.
+
+    Parameters
+    ----------
+    problem
+        What is solved.
+    values
+        First guess.
+    max_iterations
+        Limit of accepted steps.
+    tolerance
+        Predicted decrease of the cost, relative to the cost where that exceeds one, at which the
+        solve ends.
+
+    Returns
+    -------
+    solution
+        With status converged, iteration_limit or diverged.
+    """
+    damping = 0.0
+    system = problem.linearise(values)
+    if not np.isfinite(system.cost):
+        return Solution(values, Status.DIVERGED, system.cost, 0, None)
+    for iteration in range(max_iterations):
+        elimination, step, damping = _damped_step(system, damping)
+        if step is None or elimination is None:
+            return Solution(values, Status.DIVERGED, system.cost, iteration, None)
+        small = step.decrease <= tolerance * max(1.0, system.cost)
+        candidate = problem.moved(values, step)
+        if small and damping == 0.0:
+            # The last step is within the quadratic model's accuracy: it is taken unseen unless
+            # rounding makes it worse.
+            cost = problem.cost(candidate)
+            if not cost <= system.cost + 1e-9 * max(1.0, system.cost):
+                candidate, cost = values, system.cost
+            return Solution(candidate, Status.CONVERGED, cost, iteration + 1, elimination)
+        moved = problem.linearise(candidate) if damping == 0.0 else None
+        cost = problem.cost(candidate) if moved is None else moved.cost
+        gain = (system.cost - cost) / max(step.decrease, 1e-300) if np.isfinite(cost) else -1.0
+        if gain > 1e-3:
+            values = candidate
+            system = problem.linearise(candidate) if moved is None else moved
+            damping = _relaxed(damping, gain)
+            continue
+        if small:
+            # Damped down to nothing, and still no descent: rounding decides here.
+            return Solution(values, Status.CONVERGED, system.cost, iteration + 1, _undamped(system))
+        damping = _FIRST_DAMPING if damping == 0.0 else damping * 10.0
+        if damping > _LARGEST_DAMPING:
+            return Solution(values, Status.DIVERGED, system.cost, iteration, _undamped(system))
+    return Solution(values, Status.ITERATION_LIMIT, system.cost, max_iterations, _undamped(system))
+
+
+def _relaxed(damping: float, gain: float) -> float:
+    """Return the damping after an accepted step."""
+    if damping == 0.0:
+        return 0.0
+    relaxed = damping * (0.1 if gain > 0.75 else 0.5 if gain > 0.25 else 2.0)
+    return 0.0 if relaxed < 1e-7 else relaxed
+
+
+def _damped_step(
+    system: LinearSystem, damping: float
+) -> tuple[Elimination | None, Step | None, float]:
+    """Factorise with as little damping as makes the system positive definite."""
+    while damping <= _LARGEST_DAMPING:
+        try:
+            elimination = Elimination(system, damping)
+        except NotPositiveDefiniteError:
+            damping = _FIRST_DAMPING if damping == 0.0 else damping * 10.0
+            continue
+        step = elimination.solve()
+        if np.isfinite(step.decrease) and np.isfinite(step.knots).all():
+            return elimination, step, damping
+        damping = _FIRST_DAMPING if damping == 0.0 else damping * 10.0
+    return None, None, damping
+
+
+def _undamped(system: LinearSystem) -> Elimination | None:
+    try:
+        return Elimination(system)
+    except NotPositiveDefiniteError:
+        return None
