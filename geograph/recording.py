@@ -138,7 +138,7 @@ def _positive(value: object) -> bool:
         isinstance(value, (int, float, np.floating, np.integer))
         and not isinstance(value, bool)
         and bool(np.isfinite(value))
-        and value > 0
+        and bool(value > 0)
     )
 
 

@@ -112,11 +112,11 @@ class Trajectory:
 
     def position_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
         """Return positions, shape (..., 3), metres, at times in seconds (any shape)."""
-        return np.asarray(self._spline(time_s))
+        return np.asarray(self._spline(np.asarray(time_s, dtype=np.float64)))
 
     def velocity_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
         """Return velocities, shape (..., 3), metres per second, at times in seconds."""
-        return np.asarray(self._spline(time_s, 1))
+        return np.asarray(self._spline(np.asarray(time_s, dtype=np.float64), 1))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
