@@ -126,7 +126,8 @@ def overview(track: Track | Results) -> Figure:
     figure = look.new_figure(16.0, 9.5)
     look.headline(figure, results, _verdict(results))
     # Columns of their own: the labels of one must not set the margins of another.
-    left, middle, right = figure.subfigures(1, 3, width_ratios=[1.2, 0.9, 1.1])
+    parts = figure.subfigures(1, 3, squeeze=False, width_ratios=[1.2, 0.9, 1.1])
+    left, middle, right = parts[0]
     where, close = left.subplots(2, 1, height_ratios=[2.2, 1.0])
     draw_path(results, where, sensors=True)
     draw_path(results, close, sensors=False, legend=False)
@@ -165,7 +166,10 @@ def save_all(track: Track | Results, folder: Path) -> tuple[Path, ...]:
     with look.style():
         for name, make in makers.items():
             target = folder / name
-            make(results).savefig(target)
+            # Under its name only when it is whole.
+            draft = folder / f".{name}.draft"
+            make(results).savefig(draft, format="png")
+            draft.replace(target)
             written.append(target)
     return tuple(written)
 
@@ -184,7 +188,7 @@ def _path_figure(results: Results) -> Figure:
 def _height_figure(results: Results) -> Figure:
     figure = look.new_figure(13.0, 6.0)
     look.headline(figure, results, "height")
-    left, right = figure.subfigures(1, 2)
+    left, right = figure.subfigures(1, 2, squeeze=False)[0]
     value, spread = left.subplots(2, 1, sharex=True, height_ratios=[2.5, 1.0])
     draw_height(results, value)
     draw_height_spread(results, spread)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geograph.geodesy import enu_axes, geodetic_from_ecef
-from geograph.plot._style import Unit
+from geograph.units import Unit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,8 +9,10 @@ import numpy as np
 
 from geograph.plot import _style as look
 from geograph.plot._time import time_label
+from geograph.units import fitting_unit
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -73,7 +75,7 @@ def _grid_figure(results: Results, sensors: list[str]) -> Figure:
         _draw_kinds(ax, rows)
         used = rows.residual[~rows.rejected]
         rms = math.sqrt(float(np.mean(used**2))) if used.size else math.nan
-        unit = look.fitting_unit(str(rows.unit[0]), rms)
+        unit = fitting_unit(str(rows.unit[0]), rms)
         ax.set_title(f"{sensor}, RMS {rms / unit.size:.3g} {unit.name}")
     for ax in axes.flat[len(sensors) :]:
         ax.set_axis_off()
@@ -160,7 +162,7 @@ def _draw_in_units(ax: Axes, rows: ResidualTable, sensor: str) -> None:
     used = rows.residual[~rows.rejected]
     # A few gross values should not choose the unit for all.
     typical = np.quantile(np.abs(used), 0.98) if used.size else 0.0
-    unit = look.fitting_unit(str(rows.unit[0]), typical)
+    unit = fitting_unit(str(rows.unit[0]), typical)
     for kind, (marker, colour) in zip(_kinds(rows), _KIND_LOOK, strict=False):
         chosen = _of_kind(rows, kind)
         shown = ~chosen.rejected
@@ -189,11 +191,11 @@ def _measurements(rows: ResidualTable) -> int:
 
 
 def _legend(figure: Figure, axes: list[Axes]) -> None:
-    handles = {}
+    handles: dict[str, Artist] = {}
     for ax in axes:
         found, labels = ax.get_legend_handles_labels()
         handles |= dict(zip(labels, found, strict=True))
     if handles:
         figure.legend(
-            handles.values(), handles.keys(), loc="outside lower left", ncols=len(handles)
+            list(handles.values()), list(handles), loc="outside lower left", ncols=len(handles)
         )

@@ -8,6 +8,7 @@ import numpy as np
 
 from geograph.plot import _style as look
 from geograph.plot._time import time_label
+from geograph.units import fitting_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +47,7 @@ def draw_errors_in_sigmas(results: Results, ax: Axes) -> None:
 
 
 def _row_label(error: ErrorState) -> str:
-    unit = look.fitting_unit(error.unit, error.estimate, error.sigma)
+    unit = fitting_unit(error.unit, error.estimate, error.sigma)
     value = f"{error.estimate / unit.size:+.3g} ± {error.sigma / unit.size:.2g} {unit.name}"
     return f"{error.sensor} {error.state.replace('_', ' ')}  {value}"
 
@@ -77,7 +78,7 @@ def error_figure(results: Results) -> Figure:
 
 
 def _draw_state(ax: Axes, errors: list[ErrorState]) -> None:
-    unit = look.fitting_unit(
+    unit = fitting_unit(
         errors[0].unit,
         [error.estimate for error in errors],
         [look.NORMAL_95 * error.sigma for error in errors],
@@ -111,7 +112,7 @@ def draw_curves(results: Results, ax: Axes, kind: str) -> None:
     """Draw one kind of error against time, a line for each sensor where it changes."""
     curves = [curve for curve in results.curves if curve.kind == kind]
     order = [place.sensor for place in results.sensors]
-    unit = look.fitting_unit(curves[0].unit, *(curve.estimate for curve in curves))
+    unit = fitting_unit(curves[0].unit, *(curve.estimate for curve in curves))
     for curve in curves:
         colour = look.sensor_look(order.index(curve.sensor))["color"]
         _draw_curve(ax, curve, colour=colour, size=unit.size)

@@ -9,6 +9,7 @@ import numpy as np
 
 from geograph.plot import _style as look
 from geograph.plot._plane import length_unit
+from geograph.units import Unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -167,10 +168,10 @@ def _draw_spread(results: Results, ax: Axes, series: _Series) -> None:
     ax.set_ylabel(f"95 % band ({unit.name})")
 
 
-def _unit(series: _Series, size: NDArray[np.float64]) -> look.Unit:
+def _unit(series: _Series, size: NDArray[np.float64]) -> Unit:
     finite = size[np.isfinite(size)]
     unit = length_unit(float(finite.max()) if finite.size else 0.0)
-    return unit if series.unit == "m" else look.Unit(f"{unit.name}/s", unit.size)
+    return unit if series.unit == "m" else Unit(f"{unit.name}/s", unit.size)
 
 
 def _height(results: Results, position_m: NDArray[np.float64]) -> NDArray[np.float64]:

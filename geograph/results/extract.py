@@ -114,7 +114,7 @@ def _speed_sigma(track: Track) -> NDArray[np.float64] | None:
     # At rest the direction is undefined; any unit vector then gives the right order of magnitude.
     along = np.where(speed > 0.0, velocity, [1.0, 0.0, 0.0]) / np.where(speed > 0.0, speed, 1.0)
     variance = np.einsum("ki,kij,kj->k", along, track.covariance[:, 3:6, 3:6], along)
-    return np.sqrt(np.maximum(variance, 0.0))
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _sensor_path(sensor: Sensor, start: float, end: float) -> SensorPath:

@@ -28,11 +28,3 @@ COVARIANCE = {
 GEODETIC = ("latitude_deg", "longitude_deg", "height_m")
 SEMI_AXES = ("semi_major_m", "semi_middle_m", "semi_minor_m")
 SPEED = ("speed_m_s", "sigma_speed_m_s")
-RESIDUAL_NUMBERS = (
-    "measured",
-    "predicted",
-    "residual",
-    "sigma",
-    "normalised",
-    "weight",
-)

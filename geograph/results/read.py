@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
@@ -73,6 +74,25 @@ class Table:
     def __contains__(self, name: str) -> bool:
         return name in self._columns
 
+    def finite(self, name: str, *, increasing: bool = False) -> NDArray[np.float64]:
+        """Return a column of finite numbers, strictly increasing if asked for; or InputError."""
+        values = self.numbers(name)
+        wrong = ~np.isfinite(values)
+        if increasing:
+            wrong[1:] |= ~(np.diff(values) > 0.0)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            expected = "a finite number" + (
+                ", greater than in the row before" if increasing else ""
+            )
+            raise InputError(
+                f"is {values[row]:.15g}; expected {expected}",
+                path=self.path,
+                line=row + 2,
+                column=name,
+            )
+        return values
+
     def text(self, name: str) -> NDArray[np.str_]:
         """Return a column as text, shape (n,)."""
         return np.asarray(self._columns[name], dtype=np.str_)
@@ -91,8 +111,8 @@ class Table:
             raise
 
     def stack(self, columns: Sequence[str]) -> NDArray[np.float64]:
-        """Return columns beside each other, shape (n, len(columns))."""
-        return np.stack([self.numbers(name) for name in columns], axis=-1)
+        """Return finite columns beside each other, shape (n, len(columns))."""
+        return np.stack([self.finite(name) for name in columns], axis=-1)
 
 
 def _is_number(text: str) -> bool:
@@ -163,20 +183,24 @@ def load_track(path: Path) -> dict[str, Any]:
     moving = all(name in table for name in names.VELOCITY)
     accelerating = all(name in table for name in names.ACCELERATION)
     return {
-        "time_s": table.numbers("time_s"),
+        "time_s": table.finite("time_s", increasing=True),
         "position_m": table.stack(names.POSITION),
         "position_covariance_m2": covariance,
         "velocity_m_s": table.stack(names.VELOCITY) if moving else None,
         "acceleration_m_s2": table.stack(names.ACCELERATION) if accelerating else None,
         "sigma_speed_m_s": table.numbers(names.SPEED[1]) if names.SPEED[1] in table else None,
-        "semi_axes_m": table.stack(names.SEMI_AXES),
+        # Of a state that the data do not determine they may be infinite.
+        "semi_axes_m": np.stack([table.numbers(name) for name in names.SEMI_AXES], axis=-1),
     }
 
 
 def load_truth(path: Path) -> Truth:
     """Read ``truth.csv`` of a results folder."""
     table = Table(path, ("time_s", *names.POSITION))
-    velocity = table.stack(names.VELOCITY) if names.VELOCITY[0] in table else None
+    if not table.text("time_s").size:
+        raise InputError("has no row; expected one for each known position", path=path)
+    moving = all(name in table for name in names.VELOCITY)
+    velocity = table.stack(names.VELOCITY) if moving else None
     return Truth(
         time_s=table.numbers("time_s"),
         position_m=table.stack(names.POSITION),
@@ -226,12 +250,19 @@ def _load_places(path: Path) -> tuple[SensorPath, ...]:
 
 
 def _load_residuals(path: Path) -> ResidualTable:
-    texts = ("sensor", "kind", "unit")
-    table = Table(path, ("time_s", *texts, *names.RESIDUAL_NUMBERS, "rejected", "line"))
+    columns = [entry.name for entry in dataclasses.fields(ResidualTable)]
+    table = Table(path, columns)
     return ResidualTable(
         time_s=table.numbers("time_s"),
-        **{name: table.text(name) for name in texts},
-        **{name: table.numbers(name) for name in names.RESIDUAL_NUMBERS},
+        sensor=table.text("sensor"),
+        kind=table.text("kind"),
+        unit=table.text("unit"),
+        measured=table.numbers("measured"),
+        predicted=table.numbers("predicted"),
+        residual=table.numbers("residual"),
+        sigma=table.numbers("sigma"),
+        normalised=table.numbers("normalised"),
+        weight=table.numbers("weight"),
         rejected=table.text("rejected") == "true",
         line=table.numbers("line").astype(np.int64),
     )

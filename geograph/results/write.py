@@ -102,9 +102,13 @@ def write_csv(path: Path, columns: dict[str, Sequence[Any]]) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write strict JSON: what is not finite becomes null."""
-    text = json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    """Write strict JSON."""
+    path.write_text(json_text(value) + "\n", encoding="utf-8")
+
+
+def json_text(value: Any) -> str:
+    """Return strict JSON: what is not finite becomes null."""
+    return json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False)
 
 
 def plain(value: Any) -> Any:

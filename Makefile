@@ -1,0 +1,62 @@
+# make demo   set up, smooth a real fireball, show a table, list the pictures
+# make test   set up, check style and types, run all tests
+# make bench  measure the speed
+# make docs   build the site
+# make clean  remove what these made
+
+# The first interpreter that is new enough; make PYTHON=... takes another.
+PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+JOBS ?= 2
+VENV := .venv
+BIN := $(VENV)/bin
+DEMO := demo-output
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
+
+.DEFAULT_GOAL := demo
+.PHONY: demo test check bench docs clean
+
+demo: $(VENV)/.demo
+	$(BIN)/geograph example winchcombe -o $(DEMO)/winchcombe
+	$(BIN)/geograph smooth $(DEMO)/winchcombe -o $(DEMO)/results
+	@echo; echo "Pictures:"; ls $(DEMO)/results/*.png
+
+test: check
+	$(BIN)/python -m pytest -n $(JOBS) --cov --cov-report=term
+
+check: $(VENV)/.test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(VENV)/.test
+	$(BIN)/python -m tests.benchmarks
+
+docs: $(VENV)/.docs
+	$(BIN)/mkdocs build --strict --config-file .mkdocs.yml
+
+clean:
+	rm -rf $(VENV) $(DEMO) build dist site htmlcov *.egg-info .coverage* .mypy_cache .ruff_cache \
+		.pytest_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/pyvenv.cfg:
+	@test -n "$(PYTHON)" || { echo "geograph needs Python 3.11 or newer, and none was found;" \
+		"install one, or name one: make PYTHON=/path/to/python3" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+		echo "geograph needs Python 3.11 or newer; $(PYTHON) is" \
+		"$$($(PYTHON) --version 2>&1)" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+# Stamps: a second run installs nothing.
+$(VENV)/.demo: $(VENV)/pyvenv.cfg pyproject.toml
+	$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.test: $(VENV)/pyvenv.cfg pyproject.toml
+	$(PIP) --editable '.[test]'
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/pyvenv.cfg pyproject.toml
+	$(PIP) --editable '.[docs]'
+	@touch $@

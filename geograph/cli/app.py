@@ -1,0 +1,202 @@
+"""Commands and their options; what they do is imported when they are run, so that help is quick."""
+
+from __future__ import annotations
+
+from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
+from typing import Annotated, Any
+
+import typer
+
+_PANEL = "Settings that override the recording's own"
+
+app = typer.Typer(
+    name="geograph",
+    help="Smoothing for passive geolocation: the path, its covariance, and every sensor's errors.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from geograph.results import versions
+
+        found = versions()
+        others = ", ".join(f"{name} {found[name]}" for name in ("gtsam", "numpy", "scipy"))
+        typer.echo(f"geograph {found['geograph']} ({others}, Python {found['python']})")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Show versions and exit."
+        ),
+    ] = False,
+) -> None:
+    del version
+
+
+@app.command()
+def smooth(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(metavar="RECORDING...", help="Folders or .zip archives of recordings."),
+    ],
+    *,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR",
+            help="Folder for the results (replaced if it has some).",
+        ),
+    ],
+    motion: Annotated[
+        str | None,
+        typer.Option(
+            help="static, constant-position, constant-velocity, constant-acceleration, ballistic "
+            "or orbital.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None,
+    process_noise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NOISE",
+            help="Square root of the spectral density of the motion's noise, SI; one number, three "
+            "(x,y,z), or auto.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None,
+    process_noise_along: Annotated[
+        float | None,
+        typer.Option(
+            metavar="NOISE",
+            help="The same along the velocity; --process-noise is then that across it.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None,
+    spacing: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Time between knots.", rich_help_panel=_PANEL),
+    ] = None,
+    loss: Annotated[
+        str | None,
+        typer.Option(
+            help="auto, none, huber, cauchy, geman-mcclure or gnc.", rich_help_panel=_PANEL
+        ),
+    ] = None,
+    max_iterations: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Limit of iterations.", rich_help_panel=_PANEL),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", min=1, help="Processes for many recordings; default: one for each core."
+        ),
+    ] = None,
+    plots: Annotated[bool, typer.Option("--plots/--no-plots", help="Draw pictures.")] = True,
+) -> None:
+    """Smooth recordings: path, sensor errors, residuals, pictures.
+
+    One recording is written to DIR, several to DIR/<name>/ each, with their summaries in
+    DIR/batch.csv. Exit status: 0 converged, 3 not converged (results are written, marked), 2 bad
+    input (nothing is written).
+    """
+    from geograph.cli import run_smooth
+
+    given: dict[str, Any] = {
+        "motion": motion,
+        "process_noise": process_noise,
+        "process_noise_along": process_noise_along,
+        "spacing_s": spacing,
+        "loss": loss,
+        "max_iterations": max_iterations,
+    }
+    changes = run_smooth.settings_from(given)
+    if len(recordings) == 1:
+        status = run_smooth.smooth_one(recordings[0], output, changes, pictures=plots)
+    else:
+        status = run_smooth.smooth_several(
+            recordings, output, changes, pictures=plots, workers=jobs
+        )
+    raise typer.Exit(status)
+
+
+@app.command()
+def example(
+    name: Annotated[str | None, typer.Argument(help="Which one; see --list.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")
+    ] = None,
+    list_: Annotated[bool, typer.Option("--list", help="List the shipped recordings.")] = False,
+) -> None:
+    """Write a shipped real recording, ready to smooth."""
+    from geograph import examples
+    from geograph.errors import InputError
+
+    if list_:
+        for known, title in examples.titles().items():
+            typer.echo(f"{known:<16}{title}")
+        return
+    if name is None or output is None:
+        raise InputError("expected a name and -o DIR; the names are shown by --list")
+    examples.write_example(name, output)
+    typer.echo(f"wrote {output}; smooth it with: geograph smooth {output} -o RESULTS")
+
+
+@app.command()
+def convert(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="IN... OUT",
+            help="Files of one event in GFE ECSV, one for each camera, or one recording; then the "
+            "folder (or .zip) to write.",
+        ),
+    ],
+) -> None:
+    """Convert files of other formats to a recording."""
+    from geograph.errors import InputError
+    from geograph.io import convert as convert_files
+
+    if len(paths) < 2:
+        raise InputError("expected one input or more, and then what to write")
+    convert_files(paths[:-1], paths[-1])
+    typer.echo(f"wrote {paths[-1]}")
+
+
+@app.command()
+def plot(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Results of geograph smooth.")],
+) -> None:
+    """Draw the pictures of a results folder again, from its files."""
+    from geograph.plot import save_all
+    from geograph.results import load
+
+    for path in save_all(load(folder), folder):
+        typer.echo(path)
+
+
+@app.command()
+def compare(
+    track: Annotated[Path, typer.Argument(help="A results folder, or its track.csv.")],
+    truth: Annotated[
+        Path, typer.Argument(help="A truth table, or a recording or results folder that has one.")
+    ],
+    json: Annotated[bool, typer.Option("--json", help="Print figures as JSON.")] = False,
+) -> None:
+    """Compare a smoothed path with the truth: errors, and whether the covariance is honest."""
+    from geograph.cli.report import comparison_text
+    from geograph.compare import compare as compare_paths
+    from geograph.compare import read_path, read_truth
+    from geograph.results.write import json_text
+
+    figures = compare_paths(read_path(track), read_truth(truth)).figures()
+    typer.echo(json_text(figures) if json else comparison_text(figures))

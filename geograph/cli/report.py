@@ -1,0 +1,209 @@
+"""Tables that the commands print: aligned text, the same on a terminal and in a pipe."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geograph.units import fitting_unit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from geograph.batch import Outcome
+    from geograph.results import ErrorState, Results
+
+_MOST_SENSORS, _MOST_ROWS, _MOST_NOTES = 20, 30, 8
+
+
+def results_text(results: Results, folder: Path) -> str:
+    """Return the table printed after one recording was smoothed."""
+    facts = results.summary
+    parts = [
+        _headline(results),
+        _table(_path_rows(results)),
+        _table(_sensor_rows(results)),
+        _notes(results),
+        f"written to {folder}",
+    ]
+    if facts.get("message") and results.status != "converged":
+        parts.insert(1, str(facts["message"]))
+    return "\n\n".join(part for part in parts if part)
+
+
+def _headline(results: Results) -> str:
+    facts = results.summary
+    status = results.status.replace("_", " ")
+    colour = "32" if results.status == "converged" else "31"
+    start, end = facts.get("time_span_s", (results.time_s[0], results.time_s[-1]))
+    words = [
+        f"{_paint(status, colour)} in {facts.get('iterations', '?')} iterations",
+        f"chi2/dof {_number(facts.get('chi2'))}/{facts.get('degrees_of_freedom', '?')}",
+        f"{facts.get('measurements', '?')} measurements over {end - start:.4g} s",
+        f"{len(facts.get('rejected') or ())} rejected",
+        f"{results.time_s.size} knots",
+        f"{_number(facts.get('seconds'))} s",
+    ]
+    return f"{results.name}: " + ", ".join(words)
+
+
+def _paint(text: str, colour: str) -> str:
+    return f"\x1b[{colour}m{text}\x1b[0m" if sys.stdout.isatty() else text
+
+
+def _number(value: Any) -> str:
+    return "?" if value is None else f"{value:.4g}"
+
+
+def _path_rows(results: Results) -> list[list[str]]:
+    geodetic = results.geodetic()
+    where = ["x (m)", "y (m)", "z (m)"]
+    sigmas = ["sigma x", "y", "z (m)"]
+    if geodetic is not None:
+        where, sigmas = ["latitude", "longitude", "height (m)"], ["sigma east", "north", "up (m)"]
+    speed, sigma_speed = results.speed_m_s, results.sigma_speed_m_s
+    rows = [["", "time (s)", *where, *sigmas]]
+    if speed is not None:
+        rows[0] += ["speed (m/s)", "sigma (m/s)"]
+    covariance = results.level_covariance_m2()
+    count = results.time_s.size
+    chosen = {"start": 0, "middle": count // 2, "end": count - 1} if count > 2 else {"": 0}
+    if count == 2:
+        chosen = {"start": 0, "end": 1}
+    for label, knot in chosen.items():
+        if geodetic is None:
+            place = [f"{value:.2f}" for value in results.position_m[knot]]
+        else:
+            latitude, longitude, height = geodetic[knot]
+            place = [f"{latitude:.6f}", f"{longitude:.6f}", f"{height:.1f}"]
+        spread = [f"{value:.3g}" for value in np.sqrt(np.diag(covariance[knot]))]
+        row = [label, f"{results.time_s[knot]:.3f}", *place, *spread]
+        if speed is not None and sigma_speed is not None:
+            row += [f"{speed[knot]:.1f}", f"{sigma_speed[knot]:.2g}"]
+        rows.append(row)
+    return rows
+
+
+def _sensor_rows(results: Results) -> list[list[str]]:
+    states = list(dict.fromkeys(error.state for error in results.errors))
+    units = {
+        state: fitting_unit(
+            next(error.unit for error in results.errors if error.state == state),
+            [error.estimate for error in results.errors if error.state == state],
+        )
+        for state in states
+    }
+    by_name = {(error.sensor, error.state): error for error in results.errors}
+    header = ["sensor", "measured", "rejected", "rms/sigma"]
+    header += [f"{state.replace('_', ' ')} ({units[state].name})" for state in states]
+    rows = [header]
+    for place in results.sensors[:_MOST_SENSORS]:
+        facts = results.summary.get("sensors", {}).get(place.sensor, {})
+        row = [place.sensor, str(facts.get("measurements", "")), str(facts.get("rejected", ""))]
+        row.append(_number(_rms(results, place.sensor)))
+        for state in states:
+            error = by_name.get((place.sensor, state))
+            row.append("-" if error is None else _estimate(error, units[state].size))
+        rows.append(row)
+    return rows
+
+
+def _rms(results: Results, sensor: str) -> float | None:
+    rows = results.residuals.of(sensor)
+    used = rows.normalised[~rows.rejected]
+    return float(np.sqrt(np.mean(used**2))) if used.size else None
+
+
+def _estimate(error: ErrorState, size: float) -> str:
+    mark = " !" if error.surprising else "  "
+    return f"{error.estimate / size:+.3g} ± {error.sigma / size:.2g}{mark}"
+
+
+def _notes(results: Results) -> str:
+    notes = []
+    if results.surprising_errors():
+        notes.append("! further than 3 prior sigmas from zero")
+    if len(results.sensors) > _MOST_SENSORS:
+        notes.append(f"... {len(results.sensors) - _MOST_SENSORS} more sensors in sensors.csv")
+    for key in ("flagged_sensors", "weakly_observed"):
+        sentences = [str(sentence) for sentence in results.summary.get(key) or ()]
+        notes += sentences[:_MOST_NOTES]
+        if len(sentences) > _MOST_NOTES:
+            notes.append(f"... {len(sentences) - _MOST_NOTES} more in summary.json ({key})")
+    return "\n".join(notes)
+
+
+def batch_text(outcomes: Sequence[Outcome], folder: Path) -> str:
+    """Return the table printed after several recordings: what went wrong first, then the rest."""
+    rows = [["recording", "status", "iterations", "chi2/dof", "rejected", "seconds", ""]]
+    order = sorted(outcomes, key=lambda outcome: outcome.kind == "converged")
+    for outcome in order[:_MOST_ROWS]:
+        facts = outcome.summary
+        fit = f"{_number(facts['chi2'])}/{facts['degrees_of_freedom']}" if facts else ""
+        rows.append(
+            [
+                outcome.job.folder.name,
+                outcome.status,
+                str(facts.get("iterations", "")),
+                fit,
+                str(len(facts["rejected"])) if "rejected" in facts else "",
+                _number(facts["seconds"]) if "seconds" in facts else "",
+                "" if outcome.kind == "converged" else outcome.message,
+            ]
+        )
+    good = sum(outcome.kind == "converged" for outcome in outcomes)
+    text = _table(rows)
+    if len(order) > _MOST_ROWS:
+        text += f"\n... {len(order) - _MOST_ROWS} more in batch.csv"
+    return f"{text}\n\n{good} of {len(outcomes)} converged; written to {folder}"
+
+
+def comparison_text(figures: dict[str, Any]) -> str:
+    """Return the table that ``geograph compare`` prints."""
+    rows = [["error", "RMSE", "median", "greatest", "mean"]]
+    rows.append(["position (m)", *_three(figures["position_m"]), ""])
+    for name, values in figures["components_m"].items():
+        rows.append([f"{name} (m)", *_three(values), f"{values['mean']:+.4g}"])
+    if figures["speed_m_s"] is not None:
+        values = figures["speed_m_s"]
+        rows.append(["speed (m/s)", *_three(values), f"{values['mean']:+.4g}"])
+    nees = figures["nees"]
+    low, high = nees["band_99"]
+    lines = [
+        f"{figures['points']} points of the truth"
+        + (f", and {figures['outside']} outside the path" if figures["outside"] else ""),
+        "",
+        _table(rows),
+        "",
+    ]
+    if nees["mean"] is None:
+        lines.append("NEES: none, for the covariance is not positive definite")
+    else:
+        lines.append(
+            f"NEES: mean {nees['mean']:.3g} (expected {nees['expected']:.0f}; 99 % of single draws "
+            f"lie in {low:.2g} to {high:.3g}), {100 * nees['share_within_95']:.0f} % of points in "
+            "their 95 % ellipsoid"
+        )
+    return "\n".join(lines)
+
+
+def _three(values: dict[str, float]) -> list[str]:
+    return [f"{values[key]:.4g}" for key in ("rmse", "median", "max")]
+
+
+def _table(rows: list[list[str]]) -> str:
+    """Return aligned columns: the first and any last one of remarks to the left."""
+    if len(rows) < 2:
+        return ""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [
+            cell.ljust(width) if i == 0 or (rows[0][i] == "" and i > 0) else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)

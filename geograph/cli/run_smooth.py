@@ -1,0 +1,137 @@
+"""What ``geograph smooth`` does, for one recording and for several."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from geograph.cli import BAD_INPUT, NOT_CONVERGED, OK, UNEXPECTED
+from geograph.errors import InputError, SolveError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from geograph.batch import Outcome
+
+
+def settings_from(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings given as flags, checked as far as they can be without a recording."""
+    from geograph.recording import SmoothSettings
+
+    changes = {name: value for name, value in given.items() if value is not None}
+    if "process_noise" in changes:
+        changes["process_noise"] = _noise(changes["process_noise"])
+    # Whether noise along the velocity makes sense depends on the rest of the recording's settings.
+    alone = {name: value for name, value in changes.items() if name != "process_noise_along"}
+    try:
+        SmoothSettings(**alone)
+    except InputError as error:
+        raise InputError(error.reason) from None
+    return changes
+
+
+def _noise(text: str) -> float | tuple[float, ...] | str:
+    if text == "auto":
+        return text
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(
+            f"--process-noise is {text!r}; expected one number, three (x,y,z), or auto"
+        ) from None
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+def smooth_one(source: Path, output: Path, changes: Mapping[str, Any], *, pictures: bool) -> int:
+    """Smooth one recording into a folder, print its table, and return the exit status."""
+    from geograph.cli.report import results_text
+    from geograph.io import read
+    from geograph.results import from_track
+    from geograph.results.write import check_target, save
+    from geograph.track import smooth
+
+    check_target(output)
+    with _spinner(f"smoothing {source}"):
+        recording = read(source)
+        try:
+            track = smooth(recording, raise_on_failure=False, **changes)
+        except SolveError as error:
+            print(f"geograph: {recording.name}: {error.status}: {error}", file=sys.stderr)
+            return NOT_CONVERGED
+        results = from_track(track, command=_command())
+        save(results, output, pictures=pictures)
+    print(results_text(results, output))
+    return OK if results.status == "converged" else NOT_CONVERGED
+
+
+def smooth_several(
+    sources: Sequence[Path],
+    output: Path,
+    changes: Mapping[str, Any],
+    *,
+    pictures: bool,
+    workers: int | None,
+) -> int:
+    """Smooth recordings into a folder each, print a table, and return the exit status."""
+    from geograph.batch import smooth_many
+    from geograph.cli.report import batch_text
+
+    with _progress(len(sources)) as advance:
+        outcomes = smooth_many(
+            sources,
+            output,
+            workers=workers,
+            changes=changes,
+            pictures=pictures,
+            command=_command(),
+            on_done=advance,
+        )
+    print(batch_text(outcomes, output))
+    for outcome in outcomes:
+        if outcome.kind in ("bad input", "crashed"):
+            print(f"geograph: error: {outcome.message}", file=sys.stderr)
+        if outcome.details:
+            print(outcome.details, file=sys.stderr)
+    kinds = {outcome.kind for outcome in outcomes}
+    for kind, status in (
+        ("crashed", UNEXPECTED),
+        ("bad input", BAD_INPUT),
+        ("not converged", NOT_CONVERGED),
+    ):
+        if kind in kinds:
+            return status
+    return OK
+
+
+def _command() -> str:
+    return shlex.join(["geograph", *sys.argv[1:]])
+
+
+@contextmanager
+def _spinner(text: str) -> Iterator[None]:
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+    from rich.markup import escape
+
+    with Console(stderr=True).status(escape(text)):
+        yield
+
+
+@contextmanager
+def _progress(total: int) -> Iterator[Callable[[Outcome], None] | None]:
+    """Show a progress bar on a terminal, and nothing in a pipe."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    columns = ("smoothing", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("smoothing", total=total)
+        yield lambda _: progress.advance(task)

@@ -1,0 +1,288 @@
+"""A smoothed path against the truth: errors, and whether the covariance is honest.
+
+The truth is taken as it is, at its own times; the path is interpolated between its knots (position
+by cubic Hermite polynomials where it has velocities, covariance linearly), so knots should be close
+enough for that, as :func:`geograph.smooth` places them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geograph.errors import InputError
+from geograph.geodesy import enu_axes
+from geograph.measurements import Truth
+from geograph.results import as_results
+from geograph.results.names import GEODETIC, POSITION, SUMMARY, TRACK, TRUTH, VELOCITY
+from geograph.results.read import Table, load, load_track, load_truth
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from geograph.recording import Frame
+    from geograph.results import Results
+    from geograph.track import Track
+
+EXPECTED_NEES = 3.0
+"""Mean of a chi-square with three degrees of freedom: of the NEES of an honest position."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PathEstimate:
+    """A path with covariance: what of a track takes part in a comparison.
+
+    Parameters
+    ----------
+    frame
+        Of the recording.
+    time_s, position_m, covariance_m2
+        Shapes (k,), (k, 3) and (k, 3, 3).
+    velocity_m_s
+        Shape (k, 3), or None.
+    """
+
+    frame: Frame
+    time_s: NDArray[np.float64]
+    position_m: NDArray[np.float64]
+    covariance_m2: NDArray[np.float64]
+    velocity_m_s: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Comparison:
+    """Errors of a path, estimate less truth, at the times of the truth that it covers.
+
+    Parameters
+    ----------
+    time_s
+        Shape (n,).
+    outside
+        How many times of the truth lie before or after the path.
+    error_m
+        Shape (n, 3), by ``axes``.
+    axes
+        Names of the axes: east, north, up; or x, y, z in a local frame.
+    course_error_m
+        Shape (n, 3): along the velocity, across it to the right (level), and at right angles to
+        both (upwards); None without a velocity.
+    nees
+        Shape (n,): normalised estimation error squared, e' P^-1 e; NaN where P is not positive.
+    speed_error_m_s
+        Shape (n,), or None where either has no velocity.
+    """
+
+    time_s: NDArray[np.float64]
+    outside: int
+    error_m: NDArray[np.float64]
+    axes: tuple[str, str, str]
+    course_error_m: NDArray[np.float64] | None
+    nees: NDArray[np.float64]
+    speed_error_m_s: NDArray[np.float64] | None
+
+    def figures(self) -> dict[str, Any]:
+        """Return the errors in figures, ready for JSON."""
+        from scipy.special import chdtri
+
+        distance = np.linalg.norm(self.error_m, axis=-1)
+        components = dict(zip(self.axes, self.error_m.T, strict=True))
+        if self.course_error_m is not None:
+            names = ("along", "across", "above")
+            components |= dict(zip(names, self.course_error_m.T, strict=True))
+        nees = self.nees[np.isfinite(self.nees)]
+        return {
+            "points": int(self.time_s.size),
+            "outside": self.outside,
+            "position_m": _figures(distance),
+            "components_m": {
+                name: _figures(np.abs(error)) | {"mean": float(error.mean())}
+                for name, error in components.items()
+            },
+            "speed_m_s": None
+            if self.speed_error_m_s is None
+            else _figures(np.abs(self.speed_error_m_s))
+            | {"mean": float(self.speed_error_m_s.mean())},
+            "nees": {
+                "mean": float(nees.mean()) if nees.size else None,
+                "expected": EXPECTED_NEES,
+                # Errors along one path go together, so a path counts as a single draw.
+                "band_99": [float(chdtri(3, tail)) for tail in (0.995, 0.005)],
+                "share_within_95": float((nees <= chdtri(3, 0.05)).mean()) if nees.size else None,
+            },
+        }
+
+
+def compare(track: Track | Results | PathEstimate, truth: Truth) -> Comparison:
+    """Return the errors of a path at the times of the truth.
+
+    Parameters
+    ----------
+    track
+        A track, its results, or a path alone.
+    truth
+        In the same frame, its times after the same epoch.
+
+    Raises
+    ------
+    InputError
+        If no time of the truth lies within the path.
+    """
+    path = track if isinstance(track, PathEstimate) else _path_of(as_results(track))
+    first, last = path.time_s[0], path.time_s[-1]
+    # One knot is a path at rest, which holds for all times.
+    covered = (truth.time_s >= first) & (truth.time_s <= last) | (path.time_s.size == 1)
+    if not covered.any():
+        low, high = truth.time_s.min(), truth.time_s.max()
+        raise InputError(
+            f"truth covers {low:.9g} to {high:.9g} s and the path {first:.9g} to {last:.9g} s; "
+            "expected times that overlap; is it of another recording or epoch?"
+        )
+    time = truth.time_s[covered]
+    position, velocity = _at(path, time)
+    error = position - truth.position_m[covered]
+    level = (
+        enu_axes(position)
+        if path.frame == "ecef"
+        else np.broadcast_to(np.eye(3), (len(time), 3, 3))
+    )
+    speed_error = None
+    if truth.velocity_m_s is not None and velocity is not None:
+        true_speed = np.linalg.norm(truth.velocity_m_s[covered], axis=-1)
+        speed_error = np.linalg.norm(velocity, axis=-1) - true_speed
+    return Comparison(
+        time_s=time,
+        outside=int((~covered).sum()),
+        error_m=np.einsum("nij,nj->ni", level, error),
+        axes=("east", "north", "up") if path.frame == "ecef" else ("x", "y", "z"),
+        course_error_m=None if velocity is None else _course(error, velocity, level[:, 2]),
+        nees=_nees(error, _covariance_at(path, time)),
+        speed_error_m_s=speed_error,
+    )
+
+
+def read_path(source: Path | str) -> PathEstimate:
+    """Read a path to compare: a results folder, or its ``track.csv`` alone.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    source = Path(source)
+    if source.is_dir() and (source / SUMMARY).exists():
+        return _path_of(load(source))
+    file = source / TRACK if source.is_dir() else source
+    fields = load_track(file)
+    geodetic = GEODETIC[0] in Table(file, ())
+    return PathEstimate(
+        frame="ecef" if geodetic else "local",
+        time_s=fields["time_s"],
+        position_m=fields["position_m"],
+        covariance_m2=fields["position_covariance_m2"],
+        velocity_m_s=fields["velocity_m_s"],
+    )
+
+
+def read_truth(source: Path | str) -> Truth:
+    """Read the truth: a truth table, or a recording or results folder that has one.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    source = Path(source)
+    if source.is_file() and source.suffix == ".parquet":
+        return _parquet_truth(source)
+    if source.is_file() and source.suffix != ".zip":
+        return load_truth(source)
+    if (source / SUMMARY).exists() and (source / TRUTH).exists():
+        return load_truth(source / TRUTH)
+    from geograph.io import read
+
+    truth = read(source).truth
+    if truth is None:
+        raise InputError(f"has no truth table; expected a recording with {TRUTH}", path=source)
+    return truth
+
+
+def _parquet_truth(file: Path) -> Truth:
+    from geograph.io.reader import TRUTH_COLUMNS
+    from geograph.io.source import FolderSource
+    from geograph.io.tables import read_table
+
+    columns = read_table(FolderSource(file.parent), file.name, TRUTH_COLUMNS).numbers
+    velocity = [columns[name] for name in VELOCITY if name in columns]
+    return Truth(
+        time_s=columns["time_s"],
+        position_m=np.stack([columns[name] for name in POSITION], axis=-1),
+        velocity_m_s=np.stack(velocity, axis=-1) if len(velocity) == len(VELOCITY) else None,
+    )
+
+
+def _figures(size: NDArray[np.float64]) -> dict[str, float]:
+    return {
+        "rmse": float(np.sqrt(np.mean(size**2))),
+        "median": float(np.median(size)),
+        "max": float(size.max()),
+    }
+
+
+def _path_of(results: Results) -> PathEstimate:
+    return PathEstimate(
+        frame=results.frame,
+        time_s=results.time_s,
+        position_m=results.position_m,
+        covariance_m2=results.position_covariance_m2,
+        velocity_m_s=results.velocity_m_s,
+    )
+
+
+def _at(
+    path: PathEstimate, time: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    from scipy.interpolate import CubicHermiteSpline
+
+    if path.time_s.size == 1:
+        still = np.repeat(path.position_m, time.size, axis=0)
+        return still, None
+    if path.velocity_m_s is None:
+        columns = [np.interp(time, path.time_s, column) for column in path.position_m.T]
+        return np.stack(columns, axis=-1), None
+    spline = CubicHermiteSpline(path.time_s, path.position_m, path.velocity_m_s)
+    return spline(time), spline(time, 1)
+
+
+def _covariance_at(path: PathEstimate, time: NDArray[np.float64]) -> NDArray[np.float64]:
+    flat = path.covariance_m2.reshape(-1, 9).T
+    columns = [np.interp(time, path.time_s, column) for column in flat]
+    return np.stack(columns, axis=-1).reshape(-1, 3, 3)
+
+
+def _course(
+    error: NDArray[np.float64], velocity: NDArray[np.float64], up: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    along = _unit(velocity)
+    across = _unit(np.cross(along, up))
+    above = np.cross(across, along)
+    axes = np.stack([along, across, above], axis=1)
+    return np.asarray(np.einsum("nij,nj->ni", axes, error))
+
+
+def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.asarray(vector / np.where(length > 0.0, length, 1.0))
+
+
+def _nees(error: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    nees = np.full(len(error), np.nan)
+    sound = np.isfinite(covariance).all(axis=(1, 2))
+    values, vectors = np.linalg.eigh(covariance[sound])
+    turned = np.einsum("nji,nj->ni", vectors, error[sound])
+    positive = (values > 0.0).all(axis=-1)
+    terms = turned**2 / np.where(values > 0.0, values, 1.0)
+    nees[sound] = np.where(positive, terms.sum(axis=-1), np.nan)
+    return np.asarray(nees)
