@@ -18,6 +18,7 @@ import numpy as np
 from geograph.errors import InputError
 from geograph.factors.gravity import propagate
 from geograph.factors.kinematics import (
+    interpolation_matrices,
     noise_covariance,
     noise_square_root,
     spatial_square_root,
@@ -140,6 +141,43 @@ class Motion:
         if self.ballistic:
             return BallisticPath(knots_s, self.frame)
         return KinematicPath(knots_s, self.order)
+
+    @property
+    def longest_step_s(self) -> float:
+        """Longest interval that the path's interpolation is accurate over, seconds."""
+        return BallisticPath.LONGEST_STEP_S if self.ballistic else float("inf")
+
+    def read(
+        self, path: Path, state: NDArray[np.float64], time_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return whole states of a path at any times, shape (n, 3m), SI units.
+
+        Parameters
+        ----------
+        path
+            A path of this motion.
+        state
+            Shape (K, 3m): states of its knots.
+        time_s
+            Shape (n,); times outside the knots are predicted from the nearer one.
+        """
+        knots = path.knots_s
+        if knots.size == 1:
+            return np.broadcast_to(state[0], (time_s.size, state.shape[1])).copy()
+        place = path.locate(np.clip(time_s, knots[0], knots[-1]))
+        held = path.at_state(state, jacobian=False)
+        blocks = list(held.position_velocity(place)[: min(self.order, 2)])
+        if self.order == 3:
+            weights = interpolation_matrices(3, place.step_s, place.offset_s)[:, 2]
+            pair = np.concatenate([state[:-1], state[1:]], axis=1)[place.interval]
+            blocks.append(np.einsum("nj,njc->nc", weights, pair.reshape(-1, 6, 3)))
+        result = np.concatenate(blocks, axis=1)
+        for outside, end in ((time_s < knots[0], 0), (time_s > knots[-1], -1)):
+            if outside.any():
+                step = time_s[outside] - knots[end]
+                start = np.broadcast_to(state[end], (step.size, state.shape[1]))
+                result[outside] = self.predict(start, step)[0]
+        return result
 
     def predict(
         self, state: NDArray[np.float64], step_s: NDArray[np.float64]

@@ -155,12 +155,13 @@ class Problem:
 
     def cost(self, values: Values) -> float:
         """Return the cost at one point; not finite where a prediction is not."""
-        total = self._prior_cost(values)
+        total = self.prior_cost(values)
         for found, weight in zip(self.evaluate(values, jacobian=False), self.weights, strict=True):
             total += self._measurement_cost(found, weight)[0]
         return total
 
-    def _prior_cost(self, values: Values) -> float:
+    def prior_cost(self, values: Values) -> float:
+        """Return the share of transitions and priors in the cost."""
         start = (values.path[0] - self.prior.mean) / self.prior.sigma
         total = 0.5 * float(start @ start + values.constants @ values.constants)
         if self.knots_s.size > 1:
@@ -182,7 +183,7 @@ class Problem:
         """Return the linear system of scaled increments at one point."""
         width = self.layout.width
         blocks = np.zeros((max(self.knots_s.size - 1, 1), width, width))
-        cost = self._prior_cost(values)
+        cost = self.prior_cost(values)
         for found, weight, total in zip(
             self.evaluate(values, jacobian=True), self.weights, self._sums, strict=True
         ):

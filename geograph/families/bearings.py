@@ -84,11 +84,12 @@ class BearingFamily(Family):
         self._walk_time = bearings.time_s.copy()
         self._poses: SensorPoses | None = None
         self._place: tuple[Path, Place] | None = None
+        self.path_noise_m = np.zeros(len(bearings))
         self._white = self._whitening(np.full(len(bearings), np.inf))
 
     def _whitening(self, distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return reciprocals of the sigmas, shape (n, 2), position noise included."""
-        extra = self.position_noise_m / distance_m
+        extra = np.hypot(self.position_noise_m, self.path_noise_m) / distance_m
         azimuth = self.bearings.sigma_azimuth_rad
         elevation = self.bearings.sigma_elevation_rad
         # A displacement across the line of sight moves the azimuth by 1 / cos(elevation) more.
@@ -120,6 +121,7 @@ class BearingFamily(Family):
         part._light_time = self._light_time[index]
         part._walk_time = self._walk_time[index]
         part._white = self._white[index]
+        part.path_noise_m = self.path_noise_m[index]
         return part
 
     def _errors(

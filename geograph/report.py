@@ -1,0 +1,319 @@
+"""From a solved problem to a track: covariances, sensor estimates, residuals, status, summary."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geograph.observability import weak_directions
+from geograph.robust import thresholds
+from geograph.solver import Status
+from geograph.track import Residuals, SensorEstimate, Track
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from geograph.eliminate import Marginals
+    from geograph.families import BearingFamily, Evaluation
+    from geograph.smooth import Smoother
+
+_FLAG_SIGMAS = 3.0
+
+
+def make_track(smoother: Smoother, *, seconds: float) -> Track:
+    """Return the track of a finished smoother.
+
+    Parameters
+    ----------
+    smoother
+        After :meth:`Smoother.run`.
+    seconds
+        What the solve took.
+    """
+    problem, solution = smoother.problem, smoother.solution
+    values = solution.values
+    marginals = _marginals(smoother)
+    size = values.path.shape[1]
+    scale = problem.path_scale
+    covariance = marginals.knots[:, :size, :size] * scale[:, None] * scale
+    found = problem.evaluate(values, jacobian=False)
+    family = smoother.bearings
+    weight = _weights(smoother, found[0])
+    residuals = residual_table(family, found[0], smoother, weight)
+    errors = sensor_estimates(smoother, marginals)
+    track = Track(
+        time_s=problem.knots_s,
+        state=values.path,
+        covariance=covariance,
+        frame=smoother.prepared.recording.frame,
+        recording=smoother.prepared.recording,
+        settings=_resolved(smoother),
+        status=solution.status,
+        summary={},
+        sensor_errors=errors,
+        residuals=residuals,
+        problem=problem,
+        values=values,
+        marginals=marginals,
+    )
+    weak = weak_directions(track, smoother.distances())
+    status = solution.status
+    if weak.unobservable and status is Status.CONVERGED:
+        status = Status.UNOBSERVABLE
+    summary = _summary(smoother, track, found, weak.sentences, status, seconds)
+    return replace(track, status=status, summary=summary)
+
+
+def _marginals(smoother: Smoother) -> Marginals:
+    """Return the covariances, not numbers where the problem could not even be factorised."""
+    from geograph.eliminate import Marginals
+
+    elimination = smoother.solution.elimination
+    if elimination is not None:
+        return elimination.marginals()
+    layout = smoother.problem.layout
+    count, d, s = smoother.problem.knots_s.size, layout.knot, layout.constants
+    return Marginals(
+        np.full((count, d, d), np.nan),
+        np.full((count - 1, d, d), np.nan),
+        np.full((count, d, s), np.nan),
+        np.full((s, s), np.nan),
+    )
+
+
+def _weights(smoother: Smoother, found: Evaluation) -> NDArray[np.float64]:
+    """Return the weight that each bearing ended with, 0 to 1, shape (n,)."""
+    square = np.sum(found.residual**2, axis=1)
+    _, weight = smoother.problem.loss.value_and_weight(square)
+    fixed = smoother.problem.weights[0]
+    return weight if fixed is None else weight * fixed
+
+
+def _resolved(smoother: Smoother) -> Any:
+    motion, knots = smoother.problem.motion, smoother.problem.knots_s
+    settings = smoother.settings
+    changes: dict[str, Any] = {}
+    if settings.process_noise == "auto" and not motion.static:
+        changes["process_noise"] = motion.density.axes[0]
+    if knots.size > 1:
+        changes["spacing_s"] = float(np.median(np.diff(knots)))
+    return settings.replace(**changes)
+
+
+def residual_table(
+    family: BearingFamily,
+    found: Evaluation,
+    smoother: Smoother,
+    weight: NDArray[np.float64],
+) -> Residuals:
+    """Return the residuals of all bearings, elevations behind azimuths, in the file's order.
+
+    Parameters
+    ----------
+    family
+        The bearings.
+    found
+        Their evaluation at the estimate.
+    smoother
+        For the path, the estimate and the outliers.
+    weight
+        Shape (n,): weights that the loss gave.
+    """
+    problem = smoother.problem
+    table = family.bearings
+    predicted, _, _ = family.predicted(problem.path, smoother.solution.values)
+    measured = np.stack([table.azimuth_rad, table.elevation_rad], axis=1)
+    count = len(table)
+    exists = np.ones((count, 2), dtype=bool)
+    exists[family.azimuth_only, 1] = False
+    level = np.cos(np.nan_to_num(table.elevation_rad))
+    level = np.where(table.isotropic & ~family.azimuth_only, np.maximum(level, 1e-6), 1.0)
+    sigma = np.stack([table.sigma_azimuth_rad / level, table.sigma_elevation_rad], axis=1)
+    # The solver's residual is predicted - measured, whitened with the correlation's weight.
+    normalised = -found.residual / np.sqrt(family.weight)[:, None]
+
+    def pick(column: NDArray[Any]) -> NDArray[Any]:
+        spread = column if column.ndim == 2 else np.repeat(column[:, None], 2, axis=1)
+        return np.asarray(spread[exists])
+
+    kinds = np.broadcast_to(np.array(["azimuth", "elevation"]), (count, 2))
+    return Residuals(
+        pick(table.time_s),
+        pick(table.sensor),
+        pick(kinds),
+        pick(measured),
+        pick(predicted),
+        pick(measured - predicted),
+        pick(sigma),
+        pick(normalised),
+        pick(weight),
+        pick(smoother.rejected),
+        pick(table.line),
+    )
+
+
+def sensor_estimates(
+    smoother: Smoother, marginals: Marginals
+) -> dict[str, dict[str, SensorEstimate]]:
+    """Return the estimated errors of every sensor that has any, by name."""
+    problem = smoother.problem
+    names = smoother.prepared.recording.sensor_names
+    values = smoother.solution.values
+    result: dict[str, dict[str, SensorEstimate]] = {}
+    for column, state in enumerate(problem.states.constants):
+        sigma = float(np.sqrt(marginals.constants[column, column]))
+        result.setdefault(names[state.sensor], {})[state.name] = SensorEstimate(
+            state.unit, float(values.constants[column] * state.sigma), sigma * state.sigma,
+            state.sigma,
+        )  # fmt: skip
+    size = values.path.shape[1]
+    for column, walk in enumerate(problem.states.walks):
+        scale = float(problem.walk_scale[column])
+        at = size + column
+        result.setdefault(names[walk.sensor], {})[walk.name] = SensorEstimate(
+            walk.unit,
+            float(values.walks[-1, column]) * scale,
+            float(np.sqrt(marginals.knots[-1, at, at])) * scale,
+            scale,
+        )
+    return result
+
+
+def _summary(
+    smoother: Smoother,
+    track: Track,
+    found: list[Evaluation],
+    weak: list[str],
+    status: Status,
+    seconds: float,
+) -> dict[str, Any]:
+    problem, solution = smoother.problem, smoother.solution
+    kept = ~smoother.rejected
+    square = float(np.sum(found[0].residual[kept] ** 2))
+    square += sum(float(np.sum(part.residual**2)) for part in found[1:])
+    prior = 2.0 * problem.prior_cost(solution.values)
+    lost = int(np.sum(np.where(smoother.bearings.azimuth_only, 1, 2)[~kept]))
+    freedom = problem.measurement_rows - lost - 3 * problem.motion.order
+    noise = problem.motion.density
+    return {
+        "name": track.recording.name,
+        "status": str(status),
+        "message": _message(status, solution.iterations, weak),
+        "iterations": smoother.iterations,
+        "cost": solution.cost,
+        "chi2": square + prior,
+        "degrees_of_freedom": freedom,
+        "measurements": len(smoother.bearings) + sum(f.row_count for f in problem.families[1:]),
+        "rejected": _rejected(smoother, track),
+        "weakly_observed": weak,
+        "flagged_sensors": _flagged(track),
+        "sensors": _per_sensor(smoother, track),
+        "motion": problem.motion.name,
+        "process_noise": None if problem.motion.static else list(noise.axes),
+        "process_noise_along": noise.along,
+        "loss": smoother.settings.loss,
+        "knots": int(problem.knots_s.size),
+        "spacing_s": track.settings.spacing_s,
+        "interpolation": _interpolation(smoother),
+        "first_guess": _guesses(smoother),
+        "seconds": seconds,
+    }
+
+
+def _message(status: Status, iterations: int, weak: list[str]) -> str:
+    if status is Status.CONVERGED:
+        return f"converged in {iterations} iterations"
+    if status is Status.UNOBSERVABLE:
+        return "the measurements do not determine the path: " + "; ".join(weak)
+    if status is Status.ITERATION_LIMIT:
+        return (
+            f"not converged after {iterations} iterations; raise max_iterations, or give priors "
+            "that fit the sensors"
+        )
+    return "diverged: no step lowers the cost; check units, axes and clocks of the sensors"
+
+
+def _rejected(smoother: Smoother, track: Track) -> list[dict[str, Any]]:
+    """Name every rejected bearing: left out as an outlier, or far down-weighted by the loss."""
+    residuals = track.residuals
+    table = smoother.prepared.bearings
+    names = track.recording.sensor_names
+    square = np.zeros(len(table))
+    row = np.repeat(np.arange(len(table)), np.where(smoother.bearings.azimuth_only, 1, 2))
+    np.add.at(square, row, residuals.normalised**2)
+    out = smoother.rejected.copy()
+    if smoother.problem.loss.name != "none":
+        rows = np.where(smoother.bearings.azimuth_only, 1, 2)
+        out |= square > thresholds(square, rows, table.sensor)
+    return [
+        {
+            "sensor": names[table.sensor[index]],
+            "time_s": float(table.time_s[index]),
+            "line": int(table.line[index]),
+            "normalised": float(np.sqrt(square[index])),
+        }
+        for index in np.flatnonzero(out)
+    ]
+
+
+def _flagged(track: Track) -> list[str]:
+    """Name every sensor error that is further from zero than its prior allows."""
+    sentences = []
+    for name, states in track.sensor_errors.items():
+        for state, entry in states.items():
+            if abs(entry.estimate) > _FLAG_SIGMAS * entry.prior_sigma:
+                sentences.append(
+                    f"{name}: {state} is {entry.estimate:.4g} +- {entry.sigma:.2g} {entry.unit}, "
+                    f"{abs(entry.estimate) / entry.prior_sigma:.1f} times its prior sigma"
+                )
+    return sentences
+
+
+def _per_sensor(smoother: Smoother, track: Track) -> dict[str, dict[str, Any]]:
+    residuals = track.residuals
+    result = {}
+    for index, name in enumerate(track.recording.sensor_names):
+        own = residuals.sensor == index
+        kept = own & ~residuals.rejected
+        count = int(np.sum(smoother.prepared.bearings.sensor == index))
+        result[name] = {
+            "measurements": count,
+            "rejected": int(np.sum(smoother.rejected[smoother.prepared.bearings.sensor == index])),
+            "rms_normalised": float(np.sqrt(np.mean(residuals.normalised[kept] ** 2)))
+            if kept.any()
+            else None,
+            "median_residual_rad": float(np.median(np.abs(residuals.residual[kept])))
+            if kept.any()
+            else None,
+        }
+    return result
+
+
+def _interpolation(smoother: Smoother) -> dict[str, Any]:
+    from geograph.knots import NEGLIGIBLE
+
+    small = smoother.ignored <= NEGLIGIBLE * 1.5
+    text = "negligible between knots"
+    if not small:
+        text = (
+            "the path may deviate between knots by more than the measurements can ignore; the "
+            "deviation is added to their noise: reduce spacing_s for the full accuracy"
+        )
+    return {"ignored_information": smoother.ignored, "small": small, "message": text}
+
+
+def _guesses(smoother: Smoother) -> dict[str, Any]:
+    """Describe the first guess that was chosen, and what the others led to."""
+    names = smoother.prepared.recording.sensor_names
+
+    def describe(index: int) -> dict[str, Any]:
+        fit, cost = smoother.guesses[index]
+        clocks = {names[i]: float(fit.clock_s[i]) for i in np.flatnonzero(fit.clock_s)}
+        return {"cost": cost, "clock_offsets_s": clocks, "behind_sensors": fit.behind}
+
+    return {
+        "chosen": describe(0),
+        "others": [describe(index) for index in range(1, len(smoother.guesses))],
+    }
