@@ -203,7 +203,9 @@ def _errors(rng, table):
 def _ellipsoids(covariance, probability):
     from scipy.stats import chi2
 
-    values = np.linalg.eigvalsh(covariance)[:, ::-1]
+    values = np.full(covariance.shape[:2], np.inf)
+    finite = np.isfinite(covariance).all(axis=(1, 2))
+    values[finite] = np.linalg.eigvalsh(covariance[finite])[:, ::-1]
     return SimpleNamespace(semi_axes_m=np.sqrt(chi2.ppf(probability, 3) * values))
 
 

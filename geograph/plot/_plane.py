@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geograph.geodesy import enu_axes, geodetic_from_ecef
+from geograph.results.data import turned_covariance
 from geograph.units import Unit
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ class Plane:
 
     def covariance(self, covariance_m2: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return covariances on the plane, shape (..., 2, 2)."""
-        return np.asarray(self.axes[:2] @ covariance_m2 @ self.axes[:2].T)
+        return turned_covariance(self.axes[:2], covariance_m2)
 
 
 def plane_of(results: Results) -> Plane:

@@ -9,6 +9,7 @@ import numpy as np
 
 from geograph.plot import _style as look
 from geograph.plot._plane import length_unit
+from geograph.results.data import turned_covariance
 from geograph.units import Unit
 
 if TYPE_CHECKING:
@@ -124,7 +125,7 @@ def _side_covariance(
     rows = np.zeros((len(heading), 2, 3))
     rows[:, 0, :2] = heading
     rows[:, 1, 2] = 1.0
-    return np.asarray(rows @ covariance @ np.swapaxes(rows, 1, 2))
+    return turned_covariance(rows, covariance)
 
 
 def _drawn_time(results: Results, *values: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

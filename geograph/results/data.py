@@ -216,9 +216,20 @@ class Results:
 
     def level_covariance_m2(self) -> NDArray[np.float64]:
         """Return position covariances in the axes of :meth:`level_axes`, shape (k, 3, 3)."""
-        axes = self.level_axes()
-        return np.asarray(axes @ self.position_covariance_m2 @ np.swapaxes(axes, -1, -2))
+        return turned_covariance(self.level_axes(), self.position_covariance_m2)
 
     def surprising_errors(self) -> tuple[ErrorState, ...]:
         """Return the sensor errors more than three prior sigmas from zero."""
         return tuple(error for error in self.errors if error.surprising)
+
+
+def turned_covariance(
+    axes: NDArray[np.float64], covariance: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return covariances in other axes, whose directions are rows: shape (..., m, m).
+
+    Where the data do not determine a state its covariance may be infinite; turned, it is then
+    infinite or not a number, without a warning.
+    """
+    with np.errstate(invalid="ignore"):
+        return np.asarray(axes @ covariance @ np.swapaxes(axes, -1, -2))

@@ -202,7 +202,7 @@ def load_truth(path: Path) -> Truth:
     moving = all(name in table for name in names.VELOCITY)
     velocity = table.stack(names.VELOCITY) if moving else None
     return Truth(
-        time_s=table.numbers("time_s"),
+        time_s=table.finite("time_s"),
         position_m=table.stack(names.POSITION),
         velocity_m_s=velocity,
     )
