@@ -175,7 +175,7 @@ def smooth_job(
     job: Job, *, changes: Mapping[str, Any], pictures: bool, command: str | None
 ) -> Outcome:
     """Read, smooth and write one recording; what is wrong with it is in the outcome."""
-    from geograph.track import smooth
+    from geograph import smooth
 
     try:
         recording = read(job.source)

@@ -51,7 +51,7 @@ def smooth_one(source: Path, output: Path, changes: Mapping[str, Any], *, pictur
     from geograph.io import read
     from geograph.results import from_track
     from geograph.results.write import check_target, save
-    from geograph.track import smooth
+    from geograph import smooth
 
     check_target(output)
     with _spinner(f"smoothing {source}"):

@@ -1,0 +1,102 @@
+"""What the documents show is run: Python blocks, and commands of console blocks with their output.
+
+The blocks of one document share a fresh folder and one Python namespace, in their order. Output
+below a command must be matched (``...`` for what may differ); ``text`` and ``sh`` blocks are shown
+only.
+"""
+
+from __future__ import annotations
+
+import doctest
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BLOCK = re.compile(r"^```(python|console)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+def blocks(text):
+    """Yield language, first line and content of each block that is run."""
+    for found in BLOCK.finditer(text):
+        yield found[1], text.count("\n", 0, found.start()) + 2, found[2]
+
+
+def run_python(content, place, line, names):
+    if content.lstrip().startswith(">>>"):
+        test = doctest.DocTestParser().get_doctest(content, names, place, place, line - 1)
+        runner = doctest.DocTestRunner(optionflags=FLAGS, verbose=False)
+        output = []
+        runner.run(test, out=output.append, clear_globs=False)
+        assert not runner.failures, "".join(output)
+        names.update(test.globs)
+    else:
+        # Padded, so that a traceback names the line of the document.
+        code = compile("\n" * (line - 1) + content, place, "exec")
+        exec(code, names)
+
+
+def run_console(content, place, line, folder):
+    environment = os.environ | {
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "COLUMNS": "100",
+    }
+    for part in re.split(r"^\$ ", content, flags=re.MULTILINE)[1:]:
+        command, _, expected = part.partition("\n")
+        while command.endswith("\\"):
+            more, _, expected = expected.partition("\n")
+            command = command[:-1] + more
+        done = subprocess.run(
+            ["bash", "-c", command],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
+        shown = done.stdout + done.stderr
+        where = f"{place}, block at line {line}: $ {command}\n{shown}"
+        if not expected.strip():
+            assert done.returncode == 0, where
+        else:
+            assert doctest.OutputChecker().check_output(expected, shown, FLAGS), where
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_document_runs(document, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names = {"__name__": "__document__"}
+    place = document.relative_to(ROOT).as_posix()
+    for language, line, content in blocks(document.read_text(encoding="utf-8")):
+        if language == "python":
+            run_python(content, place, line, names)
+        else:
+            run_console(content, place, line, tmp_path)
+
+
+def test_links_between_documents_lead_somewhere():
+    for document in DOCUMENTS:
+        text = document.read_text(encoding="utf-8")
+        for target in re.findall(r"\]\(([^)\s#]+)[^)]*\)", text):
+            if "://" not in target and not target.startswith("mailto:"):
+                assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_the_runner_sees_what_is_wrong(tmp_path):
+    with pytest.raises(ZeroDivisionError):
+        run_python("1 / 0\n", "here", 1, {})
+    with pytest.raises(AssertionError):
+        run_python(">>> 1 + 1\n3\n", "here", 1, {})
+    with pytest.raises(AssertionError):
+        run_console("$ echo one\ntwo\n", "here", 1, tmp_path)
+    with pytest.raises(AssertionError):
+        run_console("$ false\n", "here", 1, tmp_path)
+    run_console("$ echo one two\none ...\n$ true\n", "here", 1, tmp_path)
