@@ -1,0 +1,160 @@
+"""CSV files as tables: comma separated, UTF-8, a header in the first line (RFC 4180)."""
+
+from __future__ import annotations
+
+import csv
+import io
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geograph.errors import InputError
+from geograph.io.messages import plain
+from geograph.io.source import decode
+from geograph.io.tables import ColumnSpec, Kind, Table, TextBuilder, bad_number, match_columns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+# Large enough for the speed of whole columns, small enough that the texts of a long table are
+# never all in memory.
+_ROWS_AT_ONCE = 1 << 16
+
+
+def parse_csv(content: bytes, place: Path, specs: Sequence[ColumnSpec]) -> Table:
+    """Return the table in a CSV file; blank lines are skipped, spaces around cells are dropped.
+
+    Parameters
+    ----------
+    content
+        The file.
+    place
+        How it is called in messages.
+    specs
+        The columns it may have.
+
+    Raises
+    ------
+    InputError
+        See :func:`geograph.io.tables.read_table`.
+    """
+    text = decode(content, place)
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    try:
+        header = next(reader, None)
+        if not header:
+            found = "is empty" if not text.strip() else "has no header in its first line"
+            raise InputError(f"{found}; expected a header and rows", path=place, line=1)
+        names = [name.strip() for name in header]
+        matched = match_columns(names, specs, place, line=1)
+        builder = _Builder(place, names, matched)
+        last_line = reader.line_num
+        while numbered := [(row, reader.line_num) for row in islice(reader, _ROWS_AT_ONCE)]:
+            ends = [end for _, end in numbered]
+            # A row of several lines (a line break within quotes) counts as its first.
+            starts = [last_line + 1, *(end + 1 for end in ends[:-1])]
+            last_line = ends[-1]
+            kept = [(row, start) for (row, _), start in zip(numbered, starts, strict=True) if row]
+            if kept:
+                builder.add([row for row, _ in kept], [start for _, start in kept])
+    except csv.Error as error:
+        raise InputError(
+            f"is not valid CSV ({error}); expected commas between cells and paired quotes",
+            path=place,
+            line=reader.line_num,
+        ) from None
+    return builder.table()
+
+
+class _Builder:
+    """Converts rows to columns, a piece of the file at a time."""
+
+    def __init__(self, place: Path, names: list[str], specs: list[ColumnSpec]) -> None:
+        self._place = place
+        self._columns = list(zip(names, specs, strict=True))
+        self._lines: list[NDArray[np.int64]] = []
+        self._numbers: dict[str, list[NDArray[np.float64]]] = {
+            name: [] for name, spec in self._columns if spec.kind is not Kind.TEXT
+        }
+        self._texts = {
+            name: TextBuilder() for name, spec in self._columns if spec.kind is Kind.TEXT
+        }
+
+    def add(self, rows: list[list[str]], lines: list[int]) -> None:
+        width = len(self._columns)
+        if set(map(len, rows)) != {width}:
+            row, line = next((r, n) for r, n in zip(rows, lines, strict=True) if len(r) != width)
+            raise InputError(
+                f"{len(row)} cells; expected {width} as in the header; is a comma missing or "
+                "one too many?",
+                path=self._place,
+                line=line,
+            )
+        self._lines.append(np.array(lines, dtype=np.int64))
+        for (name, spec), cells in zip(self._columns, zip(*rows, strict=True), strict=True):
+            if spec.kind is Kind.TEXT:
+                self._texts[name].extend([cell.strip() for cell in cells])
+            else:
+                self._numbers[name].append(self._convert(name, spec, cells, lines))
+
+    def _convert(
+        self, name: str, spec: ColumnSpec, cells: Sequence[str], lines: list[int]
+    ) -> NDArray[np.float64]:
+        joined = "".join(cells)
+        # float() also takes 1_000 and digits of other scripts, which nobody means in a table.
+        if joined.isascii() and "_" not in joined:
+            try:
+                values = np.array(
+                    [float(cell) if cell or not spec.may_be_empty else np.nan for cell in cells]
+                )
+            except ValueError:
+                pass
+            else:
+                finite = int(np.isfinite(values).sum())
+                if finite == len(cells) or (
+                    spec.may_be_empty and finite + cells.count("") == len(cells)
+                ):
+                    return values
+        return self._convert_one_by_one(name, spec, cells, lines)
+
+    def _convert_one_by_one(
+        self, name: str, spec: ColumnSpec, cells: Sequence[str], lines: list[int]
+    ) -> NDArray[np.float64]:
+        values = np.empty(len(cells))
+        for index, (cell, line) in enumerate(zip(cells, lines, strict=True)):
+            text = cell.strip()
+            if not text and spec.may_be_empty:
+                values[index] = np.nan
+                continue
+            number = _plain_number(text)
+            if number is None:
+                raise InputError(
+                    bad_number(cell, spec), path=self._place, line=line, column=plain(name)
+                )
+            values[index] = number
+        return values
+
+    def table(self) -> Table:
+        return Table(
+            place=self._place,
+            line=np.concatenate([np.empty(0, dtype=np.int64), *self._lines]),
+            numbers={
+                name: np.concatenate([np.empty(0), *pieces])
+                for name, pieces in self._numbers.items()
+            },
+            texts={name: builder.column() for name, builder in self._texts.items()},
+        )
+
+
+def _plain_number(text: str) -> float | None:
+    if not text.isascii() or "_" in text:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None

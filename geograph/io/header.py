@@ -1,0 +1,286 @@
+"""``recording.toml``: the frame, the epoch, the sensors and how to smooth (docs/format.md)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, cast, get_args
+
+import numpy as np
+
+from geograph.constants import SPEED_OF_LIGHT_M_S
+from geograph.errors import InputError
+from geograph.io.messages import shown
+from geograph.io.tables import MAX_COORDINATE_M, MAX_VALUE
+from geograph.recording import Frame, LossName, MotionName, SmoothSettings
+from geograph.sensors import SensorErrors
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from geograph.io.document import Document, KeyPath
+    from geograph.sensors import Axes, Refraction
+
+FORMAT_VERSION = 1
+
+MIN_RADIUS_ECEF_M = 6.0e6
+"""Nothing that observes the sky is nearer to the Earth's centre than this."""
+
+_TOP_KEYS = ("format", "frame", "epoch", "propagation_speed_m_s", "sensors", "smooth", "terrain")
+_SENSOR_KEYS = (
+    "geodetic",
+    "position_m",
+    "trajectory",
+    "axes",
+    "errors",
+    "correlation",
+    "refraction",
+)
+_DEGREES_KEYS = {
+    entry.name.replace("_rad", "_deg"): entry.name
+    for entry in fields(SensorErrors)
+    if "_rad" in entry.name
+}
+_AXES = ("enu", "xyz")
+_LATER_AXES = ("body", "radec")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SensorEntry:
+    """A sensor as the header has it: like ``geograph.Sensor``, its trajectory still a file name."""
+
+    name: str
+    position_m: NDArray[np.float64] | None
+    trajectory: str | None
+    axes: Axes
+    errors: SensorErrors
+    correlation: float
+    refraction: Refraction
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Header:
+    """What ``recording.toml`` says."""
+
+    frame: Frame
+    epoch: datetime | None
+    propagation_speed_m_s: float
+    sensors: dict[str, SensorEntry]
+    settings: SmoothSettings
+
+
+def read_header(document: Document) -> Header:
+    """Return what a header says; raises InputError at the first thing that is wrong in it."""
+    _check_version(document)
+    root = document.table((), document.root, _TOP_KEYS)
+    if "terrain" in root:
+        document.fail(
+            ("terrain",), "terrain is not supported by this version of geograph yet; remove it"
+        )
+    if "frame" not in root:
+        document.fail((), "frame is missing; expected ecef or local; add it")
+    frame = cast("Frame", document.choice(("frame",), root["frame"], get_args(Frame)))
+    speed = document.number(
+        ("propagation_speed_m_s",),
+        root.get("propagation_speed_m_s", SPEED_OF_LIGHT_M_S),
+        infinite=True,
+    )
+    if not speed > 0.0:
+        document.fail(("propagation_speed_m_s",), f"is {speed:g}; expected above 0, or inf")
+    if "sensors" not in root:
+        document.fail((), "no sensors; expected a table [sensors.NAME] for each; add them")
+    entries = document.table(("sensors",), root["sensors"], None)
+    if not entries:
+        document.fail(("sensors",), "no sensors; expected a table [sensors.NAME] for each")
+    return Header(
+        frame=frame,
+        epoch=_epoch(document, root.get("epoch"), frame),
+        propagation_speed_m_s=speed,
+        sensors={name: _sensor(document, name, entry, frame) for name, entry in entries.items()},
+        settings=_settings(document, root.get("smooth", {})),
+    )
+
+
+def _check_version(document: Document) -> None:
+    version = document.root.get("format")
+    if version is None:
+        document.fail((), f"format is missing; expected format = {FORMAT_VERSION}; add it")
+    if isinstance(version, bool) or version != FORMAT_VERSION:
+        document.fail(
+            ("format",),
+            f"format version {shown(version)}; expected {FORMAT_VERSION}, the one that this "
+            "version of geograph reads",
+        )
+
+
+def _epoch(document: Document, value: object, frame: Frame) -> datetime | None:
+    expected = "expected a UTC date and time such as 2021-02-28T21:54:00Z (without quotes)"
+    if value is None:
+        if frame == "ecef":
+            document.fail((), f"epoch is missing; {expected}; add it")
+        return None
+    if not isinstance(value, datetime) or value.tzinfo is None:
+        document.fail(("epoch",), f"is {shown(str(value))}; {expected}")
+    try:
+        return value.astimezone(UTC)
+    except OverflowError:
+        document.fail(("epoch",), f"is {shown(str(value))}; {expected}")
+
+
+def _sensor(document: Document, name: str, value: object, frame: Frame) -> SensorEntry:
+    path = ("sensors", name)
+    if not valid_sensor_name(name):
+        document.fail(
+            path,
+            f"sensor name {shown(name)}; expected printable text with no blanks around it; "
+            "rename it",
+        )
+    table = document.table(path, value, _SENSOR_KEYS)
+    given = [key for key in ("geodetic", "position_m", "trajectory") if key in table]
+    if len(given) != 1:
+        what = f"has {' and '.join(given)}" if given else "has no position"
+        document.fail(
+            path,
+            f"sensor {shown(name)} {what}; expected exactly one of geodetic, position_m and "
+            "trajectory",
+        )
+    trajectory = table.get("trajectory")
+    axes = _axes(document, (*path, "axes"), table.get("axes"), frame)
+    refraction = document.choice(
+        (*path, "refraction"), table.get("refraction", "none"), ("none", "standard")
+    )
+    if refraction != "none" and axes != "enu":
+        document.fail((*path, "refraction"), f"refraction needs axes enu; given axes {axes}")
+    return SensorEntry(
+        name=name,
+        position_m=_position(document, path, table, frame) if trajectory is None else None,
+        trajectory=(
+            None
+            if trajectory is None
+            else _trajectory_name(document, (*path, "trajectory"), trajectory)
+        ),
+        axes=axes,
+        errors=_errors(document, (*path, "errors"), table.get("errors", {})),
+        correlation=document.number(
+            (*path, "correlation"), table.get("correlation", 0.0), low=0.0, high=1.0
+        ),
+        refraction=cast("Refraction", refraction),
+    )
+
+
+def valid_sensor_name(name: str) -> bool:
+    """Return whether a sensor of that name can stand in a recording's tables."""
+    return bool(name) and name.isprintable() and name == name.strip()
+
+
+def _axes(document: Document, path: KeyPath, value: object, frame: Frame) -> Axes:
+    if value is None:
+        return "enu" if frame == "ecef" else "xyz"
+    if value in _LATER_AXES:
+        document.fail(path, f"axes {value} are not supported by this version of geograph yet")
+    return cast("Axes", document.choice(path, value, _AXES))
+
+
+def _position(
+    document: Document, path: KeyPath, table: dict[str, Any], frame: Frame
+) -> NDArray[np.float64]:
+    if "position_m" in table:
+        key = (*path, "position_m")
+        limit = MAX_COORDINATE_M
+        position = np.array(
+            _three(document, key, table["position_m"], "[x, y, z] in metres", limit)
+        )
+        radius = math.hypot(*position)
+        if frame == "ecef" and radius < MIN_RADIUS_ECEF_M:
+            document.fail(
+                key,
+                f"is {radius:.6g} m from the Earth's centre; expected Earth-centred Earth-fixed "
+                "metres, or geodetic = [latitude deg, longitude deg, height m]",
+            )
+        return position
+    key = (*path, "geodetic")
+    if frame == "local":
+        document.fail(key, "geodetic needs the frame ecef; expected position_m in a local frame")
+    what = "[latitude deg, longitude deg, height m]"
+    latitude, longitude, height = _three(document, key, table["geodetic"], what, 1e12)
+    if abs(latitude) > 90.0 or abs(longitude) > 360.0 or height < -3e5:
+        document.fail(
+            key,
+            f"is [{latitude:g}, {longitude:g}, {height:g}]; expected {what} with the latitude "
+            "from -90 to 90 and the height above the ellipsoid",
+        )
+    from geograph.geodesy import ecef_from_geodetic
+
+    return ecef_from_geodetic(latitude, longitude, height)
+
+
+def _three(
+    document: Document, path: KeyPath, value: object, what: str, limit: float
+) -> tuple[float, float, float]:
+    if not isinstance(value, list) or len(value) != 3:
+        document.fail(path, f"is {shown(value)}; expected {what}")
+    x, y, z = (document.number(path, entry, low=-limit, high=limit) for entry in value)
+    return x, y, z
+
+
+def _trajectory_name(document: Document, path: KeyPath, value: object) -> str:
+    name = document.text_of(path, value)
+    parts = name.split("/")
+    plain_path = all(part and part != ".." for part in parts) and "\\" not in name
+    if not plain_path or not name.isprintable() or not name.endswith((".csv", ".parquet")):
+        document.fail(
+            path,
+            f"is {shown(name)}; expected the name of a .csv or .parquet file in the recording",
+        )
+    return name
+
+
+def _errors(document: Document, path: KeyPath, value: object) -> SensorErrors:
+    names = [entry.name for entry in fields(SensorErrors)]
+    known = sorted([*names, *_DEGREES_KEYS])
+    values: dict[str, float] = {}
+    for key, entry in document.table(path, value, known).items():
+        name = _DEGREES_KEYS.get(key, key)
+        if name in values:
+            document.fail(
+                (*path, key), f"{key} is there beside the same in the other unit; remove one"
+            )
+        if name == "misalignment_rad":
+            document.fail(
+                (*path, key),
+                "misalignment needs axes body, which this version of geograph does not support yet",
+            )
+        number = document.number((*path, key), entry, high=MAX_VALUE)
+        if number < 0.0:
+            document.fail(
+                (*path, key), f"prior sigma is {number:g}; expected at least 0 (0: known)"
+            )
+        values[name] = math.radians(number) if key in _DEGREES_KEYS else number
+    return SensorErrors(**values)
+
+
+def _settings(document: Document, value: object) -> SmoothSettings:
+    path = ("smooth",)
+    table = document.table(path, value, [entry.name for entry in fields(SmoothSettings)])
+    values: dict[str, Any] = {}
+    for key, entry in table.items():
+        where = (*path, key)
+        if key == "motion":
+            values[key] = document.choice(where, entry, get_args(MotionName))
+        elif key == "loss":
+            values[key] = document.choice(where, entry, get_args(LossName))
+        elif key == "max_iterations":
+            if isinstance(entry, bool) or not isinstance(entry, int):
+                document.fail(where, f"is {shown(entry)}; expected a whole number above 0")
+            values[key] = int(document.number(where, entry, low=1.0, high=1e6))
+        elif key == "process_noise" and isinstance(entry, list):
+            values[key] = _three(document, where, entry, "one or three numbers", MAX_VALUE)
+        elif key == "process_noise" and isinstance(entry, str):
+            values[key] = document.choice(where, entry, ("auto",))
+        else:
+            values[key] = document.number(where, entry, high=MAX_VALUE)
+    try:
+        return SmoothSettings(**values)
+    except InputError as error:
+        document.fail((*path, *((error.column,) if error.column else ())), error.reason)
