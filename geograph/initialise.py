@@ -34,6 +34,10 @@ _RANGE_ROUNDS = 6
 _SEARCH_SAMPLES = 80
 _SEARCH_STEPS = 41
 _HYPOTHESES = 4
+_PATH_SAMPLES = 400
+_OFFSET_STEPS = 401
+# A bearing further off than this many times the typical miss tells nothing about the clock.
+_MISS_LIMIT = 10.0
 _MOST_SEGMENTS = 256
 
 # Where nothing fixes the range, the object is put this far away: a meteor's distance in the sky, or
@@ -216,9 +220,19 @@ class FirstGuess:
         found.sort(key=lambda fit: fit.score)
         return found
 
-    def best_fit(self, clock_s: NDArray[np.float64]) -> PathFit:
-        """Return the fit of the right flexibility for given clock offsets."""
-        lines = self.lines(clock_s)
+    def best_fit(
+        self, clock_s: NDArray[np.float64], rows: NDArray[np.int64] | None = None
+    ) -> PathFit:
+        """Return the fit of the right flexibility for given clock offsets.
+
+        Parameters
+        ----------
+        clock_s
+            Shape (sensors,), seconds.
+        rows
+            Indices of the bearings to fit; None: all.
+        """
+        lines = self.lines(clock_s, rows)
         candidates = []
         worse = 0
         for degree, segments in self._flexibilities(lines):
@@ -345,8 +359,13 @@ class FirstGuess:
             included.append(sensor)
             rows = np.concatenate([samples[i] for i in included])
             scored = []
-            for _, clocks in beam:
-                scored += self._search(sensor, prior, clocks, rows)
+            for score, clocks in beam:
+                found: list[tuple[float, NDArray[np.float64]]] = []
+                if len(included) > 2:
+                    earlier = np.concatenate([samples[i] for i in included[:-1]])
+                    found = self._against_path(sensor, prior[sensor], clocks, earlier)
+                found = found or self._search(sensor, prior, clocks, rows)
+                scored += [(score + extra, trial) for extra, trial in found]
             scored.sort(key=lambda entry: entry[0])
             beam = scored[:_HYPOTHESES]
         return [clocks for _, clocks in beam]
@@ -370,6 +389,45 @@ class FirstGuess:
         pick = np.unique(np.linspace(0, rows.size - 1, _SEARCH_SAMPLES).round().astype(int))
         return np.asarray(rows[pick])
 
+    def _against_path(
+        self,
+        sensor: int,
+        prior_s: float,
+        clock_s: NDArray[np.float64],
+        earlier: NDArray[np.int64],
+    ) -> list[tuple[float, NDArray[np.float64]]]:
+        """Return (misfit, clocks) where a sensor's bearings meet the path of the others.
+
+        The path is that of the sensors before, where these saw it; it is not bent to the new one's
+        bearings. Empty if no offset brings half of the bearings onto the path.
+        """
+        spline = self.best_fit(clock_s, earlier).spline
+        low, high = float(spline.t[0]), float(spline.t[-1])
+        rows = self._sample(sensor)
+        without = clock_s.copy()
+        without[sensor] = 0.0
+        lines = self.lines(without, rows)
+        grid = np.linspace(low, high, _PATH_SAMPLES)
+        miss = _angle(spline(grid)[None] - lines.sensor_m[:, None], lines.direction[:, None])
+        floor = max(float(np.median(miss.min(axis=1))), float(np.median(lines.sigma[:, 0])))
+        limit = (_MISS_LIMIT * floor) ** 2
+        offsets = np.linspace(-4.0, 4.0, _OFFSET_STEPS) * prior_s
+        misfit = np.empty(offsets.size)
+        for index, offset in enumerate(offsets):
+            time = lines.time_s - offset
+            sight = spline(np.clip(time, low, high)) - lines.sensor_m
+            square = np.minimum(_angle(sight, lines.direction) ** 2, limit)
+            square[(time < low) | (time > high)] = limit
+            misfit[index] = float(np.mean(square)) / limit
+        score = rows.size * np.log(misfit + 1e-6) + (offsets / prior_s) ** 2
+        found = []
+        for index in _local_minima(score):
+            if misfit[index] < 0.5:
+                trial = clock_s.copy()
+                trial[sensor] = offsets[index]
+                found.append((float(score[index]), trial))
+        return found
+
     def _search(
         self,
         sensor: int,
@@ -390,11 +448,8 @@ class FirstGuess:
 
         grid = np.linspace(-3.0, 3.0, _SEARCH_STEPS) * prior_s[sensor]
         values = np.array([score(float(offset)) for offset in grid])
-        padded = np.concatenate([[np.inf], values, [np.inf]])
-        minima = np.flatnonzero((values <= padded[:-2]) & (values <= padded[2:]))
-        minima = minima[np.argsort(values[minima])][:_HYPOTHESES]
         found = []
-        for index in minima:
+        for index in _local_minima(values):
             clocks = clock_s.copy()
             clocks[sensor] = grid[index]
             found.append((float(values[index]), clocks))
@@ -408,6 +463,20 @@ class _Attempt:
     coefficients: int
     range_m: float
     behind: float
+
+
+def _local_minima(values: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return indices of the deepest local minima of a sequence, deepest first."""
+    padded = np.concatenate([[np.inf], values, [np.inf]])
+    minima = np.flatnonzero((values <= padded[:-2]) & (values <= padded[2:]))
+    return np.asarray(minima[np.argsort(values[minima])][:_HYPOTHESES])
+
+
+def _angle(sight: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return angles between vectors and unit vectors, shapes (..., 3), radians."""
+    along = np.sum(sight * direction, axis=-1)
+    across = np.linalg.norm(sight - along[..., None] * direction, axis=-1)
+    return np.arctan2(across, along)
 
 
 def _plausible(position_m: NDArray[np.float64]) -> bool:
