@@ -60,7 +60,11 @@ def ellipsoids(
     """
     if not 0.0 < probability < 1.0:
         raise InputError(f"probability is {probability}; expected between 0 and 1, exclusive")
-    values, vectors = np.linalg.eigh(covariance_m2)
+    values = np.full(covariance_m2.shape[:-1], np.nan)
+    vectors = np.full(covariance_m2.shape, np.nan)
+    # Covariances of what is not determined are not finite, and nor are their ellipsoids.
+    finite = np.isfinite(covariance_m2).all(axis=(-2, -1))
+    values[finite], vectors[finite] = np.linalg.eigh(covariance_m2[finite])
     quantile = float(chi2.ppf(probability, center_m.shape[-1]))
     semi_axes = np.sqrt(np.maximum(values, 0.0) * quantile)[..., ::-1]
     return Ellipsoids(center_m, semi_axes, np.swapaxes(vectors, -1, -2)[..., ::-1, :], probability)

@@ -157,18 +157,45 @@ def convert(
         list[Path],
         typer.Argument(
             metavar="IN... OUT",
-            help="Files of one event in GFE ECSV, one for each camera, or one recording; then the "
-            "folder (or .zip) to write.",
+            help="Fireball files (GFE ECSV, one for each camera) or folders of them, or one "
+            "recording; then the folder or .zip to write.",
         ),
     ],
+    *,
+    clock_offset: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[CAMERA=]S",
+            help="Prior 1-sigma of clocks in seconds, of all or of one camera; repeatable.",
+        ),
+    ] = None,
+    bias: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[CAMERA=]DEG", help="Prior 1-sigma of azimuth and elevation biases, degrees."
+        ),
+    ] = None,
+    sigma: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[CAMERA=]DEG",
+            help="On-sky sigma of a direction, degrees; default: each camera's own scatter.",
+        ),
+    ] = None,
+    parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet tables.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace an older recording.")
+    ] = False,
 ) -> None:
-    """Convert files of other formats to a recording."""
-    from geograph.errors import InputError
-    from geograph.io import convert as convert_files
+    """Convert fireball files to a recording, or a recording to other tables."""
+    from geograph.cli.run_convert import run_convert
 
-    if len(paths) < 2:
-        raise InputError("expected one input or more, and then what to write")
-    convert_files(paths[:-1], paths[-1])
+    run_convert(
+        paths,
+        {"clock_offset_s": clock_offset, "bias_deg": bias, "sigma_deg": sigma},
+        tables="parquet" if parquet else "csv",
+        overwrite=overwrite,
+    )
     typer.echo(f"wrote {paths[-1]}")
 
 

@@ -92,7 +92,7 @@ def _sensor_rows(results: Results) -> list[list[str]]:
     units = {
         state: fitting_unit(
             next(error.unit for error in results.errors if error.state == state),
-            [error.estimate for error in results.errors if error.state == state],
+            [[error.estimate, error.sigma] for error in results.errors if error.state == state],
         )
         for state in states
     }

@@ -1,0 +1,70 @@
+"""What ``geograph convert`` does: options for each camera, and the conversion."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from geograph.errors import InputError
+from geograph.io import convert
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from geograph.io.writer import TableFormat
+
+
+def run_convert(
+    paths: Sequence[Path],
+    options: Mapping[str, Sequence[str] | None],
+    *,
+    tables: TableFormat,
+    overwrite: bool,
+) -> None:
+    """Convert all paths but the last into the last.
+
+    Parameters
+    ----------
+    paths
+        Inputs and the output.
+    options
+        Values by the names of :func:`geograph.io.convert`, as given: ``VALUE`` for all cameras or
+        ``CAMERA=VALUE`` for one.
+    tables, overwrite
+        As in :func:`geograph.io.convert`.
+
+    Raises
+    ------
+    InputError
+        If anything given is wrong.
+    """
+    if len(paths) < 2:
+        raise InputError("expected one input or more, and then what to write")
+    given = {name: per_camera(name, texts) for name, texts in options.items() if texts}
+    convert(paths[:-1], paths[-1], tables=tables, overwrite=overwrite, **given)
+
+
+def per_camera(name: str, texts: Sequence[str]) -> float | dict[str, float]:
+    """Return the value for all cameras, or values by camera.
+
+    >>> per_camera("clock_offset_s", ["0.5"])
+    0.5
+    >>> per_camera("clock_offset_s", ["UK000X=5", "DFNEXT065=0.01"])
+    {'UK000X': 5.0, 'DFNEXT065': 0.01}
+    """
+    values: dict[str, float] = {}
+    for text in texts:
+        camera, _, number = text.rpartition("=")
+        try:
+            values[camera] = float(number)
+        except ValueError:
+            raise InputError(
+                f"{name} is {text!r}; expected a number, or CAMERA=NUMBER for one camera"
+            ) from None
+    if "" not in values:
+        return values
+    if len(texts) > 1:
+        raise InputError(
+            f"{name} is given for all cameras and again; expected one number, or CAMERA=NUMBER only"
+        )
+    return values[""]
