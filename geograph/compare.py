@@ -1,12 +1,12 @@
 """A smoothed path against the truth: errors, and whether the covariance is honest.
 
-The truth is taken as it is, at its own times; the path is interpolated between its knots (position
-by cubic Hermite polynomials where it has velocities, covariance linearly), so knots should be close
-enough for that, as :func:`geograph.smooth` places them.
+The truth is taken as it is, at its own times; the path is interpolated to them: its mean as in
+:mod:`geograph.results.interpolate`, its covariance linearly between the knots.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from geograph.errors import InputError
 from geograph.geodesy import enu_axes
 from geograph.measurements import Truth
 from geograph.results import as_results
+from geograph.results.interpolate import Knots, columns_at
 from geograph.results.names import GEODETIC, POSITION, SUMMARY, TRACK, TRUTH, VELOCITY
 from geograph.results.read import Table, load, load_track, load_truth
 
@@ -39,17 +40,15 @@ class PathEstimate:
     ----------
     frame
         Of the recording.
-    time_s, position_m, covariance_m2
-        Shapes (k,), (k, 3) and (k, 3, 3).
-    velocity_m_s
-        Shape (k, 3), or None.
+    knots
+        States at the knots.
+    covariance_m2
+        Of their positions, shape (k, 3, 3).
     """
 
     frame: Frame
-    time_s: NDArray[np.float64]
-    position_m: NDArray[np.float64]
+    knots: Knots
     covariance_m2: NDArray[np.float64]
-    velocity_m_s: NDArray[np.float64] | None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -131,9 +130,10 @@ def compare(track: Track | Results | PathEstimate, truth: Truth) -> Comparison:
         If no time of the truth lies within the path.
     """
     path = track if isinstance(track, PathEstimate) else _path_of(as_results(track))
-    first, last = path.time_s[0], path.time_s[-1]
+    knots = path.knots
+    first, last = knots.time_s[0], knots.time_s[-1]
     # One knot is a path at rest, which holds for all times.
-    covered = (truth.time_s >= first) & (truth.time_s <= last) | (path.time_s.size == 1)
+    covered = (truth.time_s >= first) & (truth.time_s <= last) | (knots.time_s.size == 1)
     if not covered.any():
         low, high = truth.time_s.min(), truth.time_s.max()
         raise InputError(
@@ -141,7 +141,7 @@ def compare(track: Track | Results | PathEstimate, truth: Truth) -> Comparison:
             "expected times that overlap; is it of another recording or epoch?"
         )
     time = truth.time_s[covered]
-    position, velocity = _at(path, time)
+    position, velocity = knots.at(time)
     error = position - truth.position_m[covered]
     level = (
         enu_axes(position)
@@ -158,7 +158,7 @@ def compare(track: Track | Results | PathEstimate, truth: Truth) -> Comparison:
         error_m=np.einsum("nij,nj->ni", level, error),
         axes=("east", "north", "up") if path.frame == "ecef" else ("x", "y", "z"),
         course_error_m=None if velocity is None else _course(error, velocity, level[:, 2]),
-        nees=_nees(error, _covariance_at(path, time)),
+        nees=_nees(error, columns_at(time, knots.time_s, path.covariance_m2)),
         speed_error_m_s=speed_error,
     )
 
@@ -179,10 +179,8 @@ def read_path(source: Path | str) -> PathEstimate:
     geodetic = GEODETIC[0] in Table(file, ())
     return PathEstimate(
         frame="ecef" if geodetic else "local",
-        time_s=fields["time_s"],
-        position_m=fields["position_m"],
+        knots=Knots(**{entry.name: fields[entry.name] for entry in dataclasses.fields(Knots)}),
         covariance_m2=fields["position_covariance_m2"],
-        velocity_m_s=fields["velocity_m_s"],
     )
 
 
@@ -234,32 +232,9 @@ def _figures(size: NDArray[np.float64]) -> dict[str, float]:
 def _path_of(results: Results) -> PathEstimate:
     return PathEstimate(
         frame=results.frame,
-        time_s=results.time_s,
-        position_m=results.position_m,
+        knots=results.knots(),
         covariance_m2=results.position_covariance_m2,
-        velocity_m_s=results.velocity_m_s,
     )
-
-
-def _at(
-    path: PathEstimate, time: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    from scipy.interpolate import CubicHermiteSpline
-
-    if path.time_s.size == 1:
-        still = np.repeat(path.position_m, time.size, axis=0)
-        return still, None
-    if path.velocity_m_s is None:
-        columns = [np.interp(time, path.time_s, column) for column in path.position_m.T]
-        return np.stack(columns, axis=-1), None
-    spline = CubicHermiteSpline(path.time_s, path.position_m, path.velocity_m_s)
-    return spline(time), spline(time, 1)
-
-
-def _covariance_at(path: PathEstimate, time: NDArray[np.float64]) -> NDArray[np.float64]:
-    flat = path.covariance_m2.reshape(-1, 9).T
-    columns = [np.interp(time, path.time_s, column) for column in flat]
-    return np.stack(columns, axis=-1).reshape(-1, 3, 3)
 
 
 def _course(

@@ -11,6 +11,9 @@ from geograph.compare import PathEstimate, compare, read_path, read_truth
 from geograph.errors import InputError
 from geograph.geodesy import enu_axes
 from geograph.measurements import Truth
+from geograph.results.interpolate import Knots
+
+KNOT_FIELDS = ("time_s", "position_m", "velocity_m_s", "acceleration_m_s2")
 
 
 def straight(sigma=2.0, count=11, velocity=(10.0, 0.0, 0.0)):
@@ -18,10 +21,8 @@ def straight(sigma=2.0, count=11, velocity=(10.0, 0.0, 0.0)):
     position = time[:, None] * np.asarray(velocity)
     return PathEstimate(
         frame="local",
-        time_s=time,
-        position_m=position,
+        knots=Knots(time_s=time, position_m=position, velocity_m_s=np.tile(velocity, (count, 1))),
         covariance_m2=np.tile(sigma**2 * np.eye(3), (count, 1, 1)),
-        velocity_m_s=np.tile(velocity, (count, 1)),
     )
 
 
@@ -46,8 +47,10 @@ def test_known_errors_are_found_along_across_and_above():
 def test_honest_covariance_has_nees_of_three():
     rng = np.random.default_rng(5)
     path = straight(sigma=2.0, count=4001)
-    noise = 2.0 * rng.standard_normal(path.position_m.shape)
-    found = compare(path, Truth(time_s=path.time_s, position_m=path.position_m - noise)).figures()
+    noise = 2.0 * rng.standard_normal(path.knots.position_m.shape)
+    found = compare(
+        path, Truth(time_s=path.knots.time_s, position_m=path.knots.position_m - noise)
+    ).figures()
     # Standard error of the mean of 4001 draws: sqrt(6 / 4001) = 0.039.
     assert found["nees"]["mean"] == pytest.approx(3.0, abs=0.12)
     assert found["nees"]["share_within_95"] == pytest.approx(0.95, abs=0.014)
@@ -62,22 +65,21 @@ def test_axes_are_east_north_up_on_the_earth():
     found = compare(made, truth)
     assert found.axes == ("east", "north", "up")
     np.testing.assert_allclose(found.error_m, np.tile([0.0, 0.0, 7.0], (40, 1)), atol=1e-6)
-    np.testing.assert_allclose(found.speed_error_m_s, 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.speed_error_m_s, 0.0, atol=1e-6)
 
 
-def test_positions_between_knots_follow_the_velocities():
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_positions_between_knots_are_hermite_polynomials(order):
     time = np.linspace(0.0, 4.0, 5)
-    path = PathEstimate(
-        frame="local",
-        time_s=time,
-        position_m=np.stack([time**3, time, 0 * time], axis=-1),
-        covariance_m2=np.tile(np.eye(3), (5, 1, 1)),
-        velocity_m_s=np.stack([3 * time**2, np.ones(5), np.zeros(5)], axis=-1),
-    )
+    # Exact up to the degree 2 n - 1.
+    path = np.polynomial.Polynomial(np.arange(1.0, 2 * order + 1))
+    states = [np.repeat(path.deriv(i)(time)[:, None], 3, axis=1) for i in range(order)]
+    found = Knots(**dict(zip(KNOT_FIELDS, [time, *states], strict=False)))
     between = np.array([0.3, 1.7, 3.9])
-    truth = Truth(time_s=between, position_m=np.stack([between**3, between, 0 * between], axis=-1))
-    # Hermite polynomials are exact for a cubic.
-    assert compare(path, truth).figures()["position_m"]["max"] < 1e-12
+    position, velocity = found.at(between)
+    np.testing.assert_allclose(position[:, 1], path(between), rtol=1e-12)
+    if order > 1:
+        np.testing.assert_allclose(velocity[:, 1], path.deriv()(between), rtol=1e-12)
 
 
 def test_truth_outside_the_path_is_counted_and_left_out():
@@ -102,7 +104,7 @@ def test_a_resting_object_is_compared_at_all_times():
 
 def test_covariance_that_is_none_gives_no_nees():
     path = straight(sigma=0.0)
-    truth = Truth(time_s=path.time_s, position_m=path.position_m + 1.0)
+    truth = Truth(time_s=path.knots.time_s, position_m=path.knots.position_m + 1.0)
     assert compare(path, truth).figures()["nees"]["mean"] is None
 
 

@@ -72,8 +72,9 @@ def test_path_is_drawn_in_kilometres_east_and_north_to_one_scale():
     made = results.from_track(track)
     middle = made.position_m[made.time_s.size // 2]
     level = (made.position_m - middle) @ made.level_axes()[made.time_s.size // 2].T / 1000.0
-    np.testing.assert_allclose(east, level[:, 0], atol=1e-9)
-    np.testing.assert_allclose(north, level[:, 1], atol=1e-9)
+    # Thirteen points a knot, so that the line is smooth.
+    np.testing.assert_allclose(east[::13], level[:, 0], atol=1e-6)
+    np.testing.assert_allclose(north[::13], level[:, 1], atol=1e-6)
     assert ax.get_xlabel().endswith("(km)")
     assert "° N" in ax.get_ylabel()
     assert ax.get_aspect() == 1.0

@@ -47,11 +47,11 @@ def _noise(text: str) -> float | tuple[float, ...] | str:
 
 def smooth_one(source: Path, output: Path, changes: Mapping[str, Any], *, pictures: bool) -> int:
     """Smooth one recording into a folder, print its table, and return the exit status."""
+    from geograph import smooth
     from geograph.cli.report import results_text
     from geograph.io import read
     from geograph.results import from_track
     from geograph.results.write import check_target, save
-    from geograph import smooth
 
     check_target(output)
     with _spinner(f"smoothing {source}"):

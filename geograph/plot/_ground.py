@@ -9,6 +9,7 @@ import numpy as np
 from geograph.geodesy import enu_axes
 from geograph.plot import _style as look
 from geograph.plot._plane import Plane, extent, length_unit, plane_of
+from geograph.results.interpolate import columns_at
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +36,8 @@ def draw_path(results: Results, ax: Axes, *, sensors: bool, legend: bool = True)
         ax.plot(*true.T, "--", color=look.TRUTH, lw=1.2, zorder=5, label="truth")
     _draw_ellipses(results, ax, track, outline, factor=factor, unit=unit.size)
     if results.time_s.size > 1:
-        ax.plot(*track.T / unit.size, color=look.PATH, lw=2.2, zorder=4, label="path")
+        drawn = plane.project(results.knots().at(look.dense(results.time_s))[0])
+        ax.plot(*drawn.T / unit.size, color=look.PATH, lw=2.2, zorder=4, label="path")
         _draw_ends(ax, track / unit.size)
     else:
         ax.plot(*track.T / unit.size, "o", color=look.PATH, zorder=5, label="position")
@@ -136,8 +138,8 @@ def sight_lines(
     azimuth = results.residuals.of(place.sensor, "azimuth")
     elevation = results.residuals.of(place.sensor, "elevation")
     time = azimuth.time_s
-    start = _interpolated(time, place.time_s, place.position_m)
-    target = _interpolated(time, results.time_s, results.position_m)
+    start = columns_at(time, place.time_s, place.position_m)
+    target, _ = results.knots().at(time)
     rejected = azimuth.rejected
     if place.axes in ("enu", "xyz") and len(azimuth) == len(elevation):
         rejected = rejected | elevation.rejected
@@ -157,9 +159,3 @@ def _direction(
     # Azimuth is counted from north (the second axis) in enu, from x (the first) in xyz.
     level = (second, first) if axes == "enu" else (first, second)
     return np.stack([*level, np.sin(elevation)], axis=-1)
-
-
-def _interpolated(
-    time: NDArray[np.float64], known_s: NDArray[np.float64], values: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    return np.stack([np.interp(time, known_s, column) for column in values.T], axis=-1)

@@ -117,7 +117,7 @@ def draw_curves(results: Results, ax: Axes, kind: str) -> None:
         colour = look.sensor_look(order.index(curve.sensor))["color"]
         _draw_curve(ax, curve, colour=colour, size=unit.size)
     if len(curves) <= 8:
-        ax.legend(loc="best", ncols=2)
+        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
     ax.set_title(f"{kind} error over time, with 95 % bands")
     ax.set_ylabel(f"{kind} error ({unit.name})")
     ax.set_xlabel(time_label(results))

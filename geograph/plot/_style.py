@@ -93,6 +93,15 @@ def some(count: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
+def dense(time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return times between knots too, as many as a smooth line needs, knots among them."""
+    if not 1 < time_s.size < 500:
+        return time_s
+    parts = math.ceil(500 / time_s.size)
+    share = np.arange(parts) / parts
+    return np.append((time_s[:-1, None] + np.diff(time_s)[:, None] * share).ravel(), time_s[-1])
+
+
 def ellipse_outline(covariance: NDArray[np.float64], points: int = 61) -> NDArray[np.float64]:
     """Return outlines of 95 % ellipses about zero, shape (n, points, 2).
 

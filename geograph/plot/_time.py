@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,12 +13,16 @@ from geograph.results.data import turned_covariance
 from geograph.units import Unit
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from geograph.results import Results
 
 _ELLIPSES = 15
+# A flatter path than this would be a mere line if height had the scale of distance.
+_ONE_SCALE_RATIO = 8.0
 
 
 def time_label(results: Results) -> str:
@@ -29,13 +33,16 @@ def time_label(results: Results) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Series:
-    """A quantity along the path: SI values, standard deviations, and truth at its own times."""
+    """A quantity along the path, in SI units: fine enough to draw, and where the truth is known."""
 
     name: str
     unit: str
+    time_s: NDArray[np.float64]
     value: NDArray[np.float64]
     sigma: NDArray[np.float64]
-    true: NDArray[np.float64] | None
+    true_time_s: NDArray[np.float64]
+    true: NDArray[np.float64]
+    error: NDArray[np.float64]
 
 
 def draw_height(results: Results, ax: Axes) -> None:
@@ -66,27 +73,60 @@ def draw_speed_spread(results: Results, ax: Axes) -> None:
 
 
 def _height_series(results: Results) -> _Series:
-    return _Series(
+    sigma = np.sqrt(np.maximum(results.level_covariance_m2()[:, 2, 2], 0.0))
+    return _series(
+        results,
         name=_height_name(results),
         unit="m",
-        value=results.height_m(),
-        sigma=np.sqrt(np.maximum(results.level_covariance_m2()[:, 2, 2], 0.0)),
-        true=None if results.truth is None else _height(results, results.truth.position_m),
+        sigma=sigma,
+        of=lambda position, _: results.height_of(position),
+        known=results.truth is not None,
     )
 
 
 def _speed_series(results: Results) -> _Series | None:
-    speed, sigma = results.speed_m_s, results.sigma_speed_m_s
-    if speed is None or sigma is None:
+    if results.sigma_speed_m_s is None:
         return None
-    truth = results.truth
-    velocity = None if truth is None else truth.velocity_m_s
-    return _Series(
+    return _series(
+        results,
         name="Earth-fixed speed" if results.frame == "ecef" else "speed",
         unit="m/s",
-        value=speed,
-        sigma=sigma,
-        true=None if velocity is None else np.linalg.norm(velocity, axis=-1),
+        sigma=results.sigma_speed_m_s,
+        of=lambda _, velocity: np.linalg.norm(velocity, axis=-1),
+        known=results.truth is not None and results.truth.velocity_m_s is not None,
+    )
+
+
+def _series(
+    results: Results,
+    *,
+    name: str,
+    unit: str,
+    sigma: NDArray[np.float64],
+    of: Callable[[Any, Any], NDArray[np.float64]],
+    known: bool,
+) -> _Series:
+    """Return a function of position and velocity along the path."""
+    knots, time = results.knots(), look.dense(results.time_s)
+    if time.size == 1:
+        # One knot stands for the whole recording.
+        time = np.asarray(results.summary.get("time_span_s", time), dtype=np.float64)
+    true_time = true = error = np.empty(0)
+    if known and results.truth is not None:
+        truth = results.truth
+        inside = (truth.time_s >= time[0]) & (truth.time_s <= time[-1])
+        true_time = truth.time_s[inside]
+        true = of(truth.position_m, truth.velocity_m_s)[inside]
+        error = true - of(*knots.at(true_time)) if inside.any() else error
+    return _Series(
+        name=name,
+        unit=unit,
+        time_s=time,
+        value=of(*knots.at(time)),
+        sigma=np.interp(time, results.time_s, sigma),
+        true_time_s=true_time,
+        true=true,
+        error=error,
     )
 
 
@@ -109,8 +149,12 @@ def draw_side_view(results: Results, ax: Axes) -> None:
             ring = (centre + factor * shape) / unit.size
             ax.fill(*ring.T, fc=look.BAND, ec=look.PATH, alpha=0.35, lw=0.7, label=label)
             label = "_"
-    ax.set_aspect("equal", adjustable="datalim")
-    ax.set_xlabel(f"distance over ground ({unit.name})")
+    scale = ""
+    if float(np.ptp(distance)) < _ONE_SCALE_RATIO * float(np.ptp(height)) or distance.size == 1:
+        ax.set_aspect("equal", adjustable="datalim")
+    else:
+        scale = ", height not to the same scale"
+    ax.set_xlabel(f"distance over ground ({unit.name}{scale})")
     ax.set_ylabel(f"{_height_name(results)} ({unit.name})")
     ax.legend(loc="best")
 
@@ -128,59 +172,40 @@ def _side_covariance(
     return turned_covariance(rows, covariance)
 
 
-def _drawn_time(results: Results, *values: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Return times and values; one knot stands for the whole recording."""
-    time = results.time_s
-    if time.size > 1:
-        return time, *values
-    span = results.summary.get("time_span_s", [time[0], time[0]])
-    return np.asarray(span), *(np.repeat(value, 2) for value in values)
-
-
 def _draw_band(results: Results, ax: Axes, series: _Series) -> None:
     unit = _unit(series, np.abs(series.value))
-    time, value, sigma = _drawn_time(results, series.value, series.sigma)
-    half = look.NORMAL_95 * sigma
-    low, high = (value - half) / unit.size, (value + half) / unit.size
-    ax.fill_between(time, low, high, color=look.BAND, alpha=0.45, lw=0, label="95 % band")
-    ax.plot(time, value / unit.size, color=look.PATH, lw=1.8, label="estimate")
-    if series.true is not None and results.truth is not None:
+    half = look.NORMAL_95 * series.sigma
+    low, high = (series.value - half) / unit.size, (series.value + half) / unit.size
+    ax.fill_between(series.time_s, low, high, color=look.BAND, alpha=0.45, lw=0, label="95 % band")
+    ax.plot(series.time_s, series.value / unit.size, color=look.PATH, lw=1.8, label="estimate")
+    if series.true.size:
+        style = "--" if series.true.size > 1 else "o"
         true = series.true / unit.size
-        ax.plot(results.truth.time_s, true, "--", color=look.TRUTH, lw=1.0, label="truth")
+        ax.plot(series.true_time_s, true, style, color=look.TRUTH, lw=1.0, label="truth")
     ax.set_xlabel(time_label(results))
     ax.set_ylabel(f"{series.name} ({unit.name})")
     ax.legend(loc="best")
 
 
 def _draw_spread(results: Results, ax: Axes, series: _Series) -> None:
-    time, sigma = _drawn_time(results, series.sigma)
-    half = look.NORMAL_95 * sigma
+    half = look.NORMAL_95 * series.sigma
     unit = _unit(series, half)
     half = half / unit.size
-    ax.fill_between(time, -half, half, color=look.BAND, alpha=0.45, lw=0, label="95 % band")
+    ax.fill_between(series.time_s, -half, half, color=look.BAND, alpha=0.45, lw=0)
     ax.axhline(0.0, color=look.PATH, lw=1.2)
-    if series.true is not None and results.truth is not None:
-        known = results.truth.time_s
-        off = series.true - np.interp(known, results.time_s, series.value)
-        inside = (known >= results.time_s[0]) & (known <= results.time_s[-1])
-        style = "--" if known.size > 1 else "o"
-        ax.plot(known[inside], off[inside] / unit.size, style, color=look.TRUTH, lw=1.0)
+    what = "95 % band"
+    if series.error.size:
+        style = "--" if series.error.size > 1 else "o"
+        ax.plot(series.true_time_s, series.error / unit.size, style, color=look.TRUTH, lw=1.0)
+        what += ",\ntruth - estimate"
     ax.set_xlabel(time_label(results))
-    ax.set_ylabel(f"95 % band ({unit.name})")
+    ax.set_ylabel(f"{what} ({unit.name})")
 
 
 def _unit(series: _Series, size: NDArray[np.float64]) -> Unit:
     finite = size[np.isfinite(size)]
     unit = length_unit(float(finite.max()) if finite.size else 0.0)
     return unit if series.unit == "m" else Unit(f"{unit.name}/s", unit.size)
-
-
-def _height(results: Results, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    if results.frame == "local":
-        return position_m[:, 2]
-    from geograph.geodesy import geodetic_from_ecef
-
-    return geodetic_from_ecef(position_m)[:, 2]
 
 
 def _height_name(results: Results) -> str:

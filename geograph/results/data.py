@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from geograph.geodesy import enu_axes, geodetic_from_ecef
+from geograph.results.interpolate import Knots
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -199,11 +200,24 @@ class Results:
         """Speed relative to the recording's frame, shape (k,), or None without a velocity."""
         return None if self.velocity_m_s is None else np.linalg.norm(self.velocity_m_s, axis=-1)
 
+    def knots(self) -> Knots:
+        """Return the states at the knots, to be interpolated."""
+        return Knots(
+            time_s=self.time_s,
+            position_m=self.position_m,
+            velocity_m_s=self.velocity_m_s,
+            acceleration_m_s2=self.acceleration_m_s2,
+        )
+
     def level_axes(self) -> NDArray[np.float64]:
         """Return rows east, north, up at each knot, shape (k, 3, 3); x, y, z in a local frame."""
         if self.frame == "ecef":
             return enu_axes(self.position_m)
         return np.broadcast_to(np.eye(3), (self.time_s.size, 3, 3))
+
+    def height_of(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return heights above the ellipsoid, or z in a local frame, shape (n,), of positions."""
+        return geodetic_from_ecef(position_m)[:, 2] if self.frame == "ecef" else position_m[:, 2]
 
     def geodetic(self) -> NDArray[np.float64] | None:
         """Return latitude (deg), longitude (deg), height (m), (k, 3); None in a local frame."""
@@ -211,8 +225,7 @@ class Results:
 
     def height_m(self) -> NDArray[np.float64]:
         """Return the height above the ellipsoid, or z in a local frame; shape (k,), metres."""
-        geodetic = self.geodetic()
-        return self.position_m[:, 2] if geodetic is None else geodetic[:, 2]
+        return self.height_of(self.position_m)
 
     def level_covariance_m2(self) -> NDArray[np.float64]:
         """Return position covariances in the axes of :meth:`level_axes`, shape (k, 3, 3)."""
