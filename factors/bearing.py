@@ -1,8 +1,8 @@
 """Bearings: azimuth and elevation of a line of sight.
 
 **Axes.** A sensor's axes are a rotation whose rows are the direction of azimuth zero, the direction
-of azimuth 90 degrees and the direction of elevation 90 degrees: north, east, up for ``enu``; x, y, z
-for ``xyz``. In those axes a line of sight (a, b, c) has azimuth atan2(b, a) and elevation
+of azimuth 90 degrees and the direction of elevation 90 degrees: north, east, up for ``enu``; x, y,
+z for ``xyz``. In those axes a line of sight (a, b, c) has azimuth atan2(b, a) and elevation
 atan2(c, hypot(a, b)).
 
 **Sign.** measured = predicted + error; residuals are predicted - (measured - error).

@@ -1,9 +1,9 @@
 """Free fall: the acceleration of an object under gravity alone, and its propagation.
 
-In ECEF axes the acceleration is that of the point mass and of the oblateness (J2), plus the Coriolis
-and centrifugal terms of axes that turn with the Earth (O. Montenbruck, E. Gill, *Satellite Orbits*,
-2000, sections 3.2 and 5.2 in a frame turning about z). In a local frame it is standard gravity
-downwards (-z).
+In ECEF axes the acceleration is that of the point mass and of the oblateness (J2), plus the
+Coriolis and centrifugal terms of axes that turn with the Earth (O. Montenbruck, E. Gill, *Satellite
+Orbits*, 2000, sections 3.2 and 5.2 in a frame turning about z). In a local frame it is standard
+gravity downwards (-z).
 """
 
 from __future__ import annotations

@@ -5,9 +5,10 @@ is driven by white noise of unit spectral density: on velocity (m = 1), accelera
 (m = 3). Everything here is the scalar (one axis) m-by-m form; a path in space is its Kronecker
 product with a 3-by-3 matrix, because the three axes are driven alike up to a linear map.
 
-Sources: T. D. Barfoot, *State Estimation for Robotics* (2nd ed., 2024), section 11.1 (exactly sparse
-Gaussian-process priors); Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to
-Tracking and Navigation* (2001), section 6.2 (transition and noise of integrated white noise).
+Sources: T. D. Barfoot, *State Estimation for Robotics* (2nd ed., 2024), section 11.1 (exactly
+sparse Gaussian-process priors); Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with
+Applications to Tracking and Navigation* (2001), section 6.2 (transition and noise of integrated
+white noise).
 """
 
 from __future__ import annotations

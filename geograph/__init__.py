@@ -5,14 +5,15 @@ whole path of the object and the errors of every sensor at once, with honest cov
 
 Conventions, declared once here and carried by names ever after: SI units inside (metres, seconds,
 radians); times are seconds after the recording's epoch (UTC); positions are ECEF (WGS 84) or in the
-recording's local Cartesian frame; azimuth is clockwise from north in ``enu`` axes and from x towards
-y in ``xyz`` axes; *measured = predicted + error*.
+recording's local Cartesian frame; azimuth is clockwise from north in ``enu`` axes and from x
+towards y in ``xyz`` axes; *measured = predicted + error*.
 """
 
 from __future__ import annotations
 
 from geograph.ellipsoids import Ellipsoids
 from geograph.errors import GeographError, InputError, SolveError
+from geograph.graph import GtsamGraph, build
 from geograph.io import read, write
 from geograph.measurements import Bearings, Constraints, Truth
 from geograph.recording import Recording, SmoothSettings
@@ -28,6 +29,7 @@ __all__ = [
     "Constraints",
     "Ellipsoids",
     "GeographError",
+    "GtsamGraph",
     "InputError",
     "Recording",
     "Sensor",
@@ -41,6 +43,7 @@ __all__ = [
     "Trajectory",
     "Truth",
     "__version__",
+    "build",
     "read",
     "smooth",
     "write",

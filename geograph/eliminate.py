@@ -148,10 +148,7 @@ class Elimination:
         information[-1, :-1] = information[:-1, -1]
         self._roots = np.empty((count, d, d))
         self._rests = np.empty((count, d, size + 1))
-        if count:
-            information = self._sweep(information)
-        else:
-            information = information + system.blocks[0]
+        information = self._sweep(information) if count else information + system.blocks[0]
         information[diagonal[:d], diagonal[:d]] += damping
         information[diagonal[d:], diagonal[d:]] += damping
         self.final_information = information[:-1, :-1]

@@ -105,7 +105,7 @@ class SensorGeometry:
         rate: NDArray[np.float64] | None = None
         for index in np.flatnonzero(self._moving & np.isin(np.arange(self._moving.size), sensor)):
             rows = np.flatnonzero(sensor == index)
-            mover = self.sensors[index]
+            mover = self.sensors[int(index)]
             position[rows] = mover.position_at(time_s[rows])
             velocity[rows] = mover.velocity_at(time_s[rows])
             if mover.axes == "enu":

@@ -1,13 +1,13 @@
 """The first guess: a path and clock offsets from the measurements alone.
 
 A bearing, whatever the range, says that the object lies on a line: for both directions e across the
-line, e . (p(t) - S) = 0, with a standard deviation of sigma times the range. With p(t) linear in its
-coefficients (a polynomial, or a cubic spline for long passes) that is a linear least-squares problem,
-solved again with better ranges and robust weights (pseudo-linear estimator; S. C. Nardone, A. G.
-Lindgren, K. F. Gong, *Fundamental properties and performance of conventional bearings-only target
-motion analysis*, IEEE TAC 29, 1984). The number of coefficients is chosen by the Bayesian information
-criterion. Clocks that may be wrong by more than their sensor's angular resolution are searched over
-their prior, one sensor after another, keeping several hypotheses.
+line, e . (p(t) - S) = 0, with a standard deviation of sigma times the range. With p(t) linear in
+its coefficients (a polynomial, or a cubic spline for long passes) that is a linear least-squares
+problem, solved again with better ranges and robust weights (pseudo-linear estimator; S. C. Nardone,
+A. G. Lindgren, K. F. Gong, *Fundamental properties and performance of conventional bearings-only
+target motion analysis*, IEEE TAC 29, 1984). The number of coefficients is chosen by the Bayesian
+information criterion. Clocks that may be wrong by more than their sensor's angular resolution are
+searched over their prior, one sensor after another, keeping several hypotheses.
 """
 
 from __future__ import annotations
@@ -284,7 +284,7 @@ class FirstGuess:
             )
             if self._heights is not None:
                 coefficients = self._with_heights(
-                    coefficients, knots, degree, basis, lines, white, anchor
+                    BSpline(knots, coefficients, degree), basis, lines, white=white, anchor=anchor
                 )
             sight = basis @ coefficients - lines.sensor_m
             distance = np.maximum(np.linalg.norm(sight, axis=1), 1e-6 * self._nominal)
@@ -313,21 +313,19 @@ class FirstGuess:
 
     def _with_heights(
         self,
-        coefficients: NDArray[np.float64],
-        knots: NDArray[np.float64],
-        degree: int,
+        spline: BSpline,
         basis: NDArray[np.float64],
         lines: _Lines,
+        *,
         white: NDArray[np.float64],
         anchor: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Solve again with heights linearised about the path so far."""
         heights = self._heights
         assert heights is not None
-        at = BSpline.design_matrix(
-            np.clip(heights.time_s, knots[0], knots[-1]), knots, degree
-        ).toarray()
-        position = at @ coefficients
+        inside = np.clip(heights.time_s, spline.t[0], spline.t[-1])
+        at = BSpline.design_matrix(inside, spline.t, spline.k).toarray()
+        position = np.asarray(spline(inside))
         if self.geometry.frame == "ecef" and not _plausible(position):
             position = np.broadcast_to(lines.sensor_m.mean(axis=0), position.shape).copy()
         height, up = altitude(position, self.geometry.frame)
@@ -444,7 +442,7 @@ class FirstGuess:
             attempts = [self._fit(lines, degree, 1) for degree in (1, 3)]
             if _scores(attempts)[1] < _scores(attempts)[0]:
                 attempts.append(self._fit(lines, 3, 4))
-            return _misfit(attempts) + (offset / prior_s[sensor]) ** 2
+            return _misfit(attempts) + float(offset / prior_s[sensor]) ** 2
 
         grid = np.linspace(-3.0, 3.0, _SEARCH_STEPS) * prior_s[sensor]
         values = np.array([score(float(offset)) for offset in grid])
@@ -476,7 +474,7 @@ def _angle(sight: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArra
     """Return angles between vectors and unit vectors, shapes (..., 3), radians."""
     along = np.sum(sight * direction, axis=-1)
     across = np.linalg.norm(sight - along[..., None] * direction, axis=-1)
-    return np.arctan2(across, along)
+    return np.asarray(np.arctan2(across, along))
 
 
 def _plausible(position_m: NDArray[np.float64]) -> bool:
@@ -515,7 +513,7 @@ def _scores(attempts: Sequence[_Attempt]) -> NDArray[np.float64]:
 def _scale(normalised: NDArray[np.float64]) -> float:
     """Return the robust standard deviation of residuals (1.4826 median absolute value)."""
     used = np.abs(normalised[normalised != 0.0])
-    return 1.4826 * float(np.median(used)) if used.size else 0.0
+    return float(1.4826 * np.median(used)) if used.size else 0.0
 
 
 def _robust_weights(normalised: NDArray[np.float64]) -> NDArray[np.float64]:

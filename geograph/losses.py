@@ -1,9 +1,10 @@
 """Losses of one measurement, as functions of its squared whitened residual.
 
-A loss replaces r^2 / 2 by rho(r^2) / 2; its weight rho'(r^2) multiplies the measurement's information
-in the next iteration (iteratively reweighted least squares; P. J. Huber, E. M. Ronchetti, *Robust
-Statistics*, 2nd ed., 2009, chapter 7). The tuning constants give 95 % efficiency on Gaussian scalar
-residuals (Z. Zhang, *Parameter estimation techniques*, Image and Vision Computing 15, 1997, table 1).
+A loss replaces r^2 / 2 by rho(r^2) / 2; its weight rho'(r^2) multiplies the measurement's
+information in the next iteration (iteratively reweighted least squares; P. J. Huber, E. M.
+Ronchetti, *Robust Statistics*, 2nd ed., 2009, chapter 7). The tuning constants give 95 % efficiency
+on Gaussian scalar residuals (Z. Zhang, *Parameter estimation techniques*, Image and Vision
+Computing 15, 1997, table 1).
 """
 
 from __future__ import annotations

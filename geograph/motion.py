@@ -194,7 +194,7 @@ class Motion:
         if self.ballistic:
             return propagate(state, step_s, self.frame)
         matrix = np.kron(transition(self.order, step_s), np.eye(3))
-        return np.matmul(matrix, state[:, :, None])[:, :, 0], matrix
+        return np.matmul(matrix, state[:, :, None])[:, :, 0], np.asarray(matrix, dtype=np.float64)
 
     def noise(self, state: NDArray[np.float64], step_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance that the noise adds over a step, shape (n, 3m, 3m), SI units."""
@@ -225,7 +225,8 @@ class Motion:
         velocity = self._velocity(first)
         unit_root = noise_square_root(self.order, steps_s)
         root = kron_stack(unit_root, self.density.square_root(velocity, count))
-        miss = np.linalg.solve(unit_root, (second - predicted).reshape(count, self.order, 3))
+        gap = (second - predicted).reshape(count, self.order, 3)
+        miss = np.asarray(np.linalg.solve(unit_root, gap), dtype=np.float64)
         inverse = self.density.inverse_square_root(velocity, count)
         residual = (miss @ np.swapaxes(inverse, -1, -2)).reshape(count, size)
         along = self.density.along

@@ -109,10 +109,9 @@ def _direction(track: Track, knot: int, direction: NDArray[np.float64]) -> str:
     if abs(parts[order[0]]) > 0.95:
         return names[order[0]]
     lead = np.sign(parts[order[0]])
-    text = []
-    for index in order:
-        if abs(parts[index]) > 0.3:
-            text.append(f"{lead * parts[index]:+.2f} {names[index]}")
+    text = [
+        f"{lead * parts[index]:+.2f} {names[index]}" for index in order if abs(parts[index]) > 0.3
+    ]
     return "(" + " ".join(text) + ")"
 
 

@@ -1,7 +1,7 @@
 """Paths between knots: where the object is at any time, as a function of the knots' states.
 
-A path evaluates position and velocity at many times in one vectorised pass, and turns derivatives by
-position and velocity into derivatives by the two neighbouring knots' states. Measurements know
+A path evaluates position and velocity at many times in one vectorised pass, and turns derivatives
+by position and velocity into derivatives by the two neighbouring knots' states. Measurements know
 nothing else of the motion.
 """
 
@@ -142,6 +142,7 @@ class KinematicPathState(PathState):
         self._blocks = both.reshape(following.shape[0], 2 * path.order, 3)
 
     def position_velocity(self, place: Place) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return position and velocity, each shape (n, 3)."""
         blocks = self._blocks[place.interval]
         position = np.matmul(place.position_weights[:, None, :], blocks)[:, 0]
         velocity = np.matmul(place.velocity_weights[:, None, :], blocks)[:, 0]
@@ -153,6 +154,7 @@ class KinematicPathState(PathState):
         by_position: NDArray[np.float64],
         by_velocity: NDArray[np.float64] | None,
     ) -> NDArray[np.float64]:
+        """Return derivatives by both neighbours; see :meth:`PathState.chain`."""
         count, rows, _ = by_position.shape
         result = place.position_weights[:, None, :, None] * by_position[:, :, None, :]
         if by_velocity is not None:
@@ -221,6 +223,7 @@ class BallisticPathState(PathState):
             self._derivative = derivative.reshape(count, 6, 18)
 
     def position_velocity(self, place: Place) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return position and velocity, each shape (n, 3)."""
         basis = self._basis[place.interval]
         position = np.matmul(place.position_weights[:, None, :], basis)[:, 0]
         velocity = np.matmul(place.velocity_weights[:, None, :], basis)[:, 0]
@@ -232,6 +235,7 @@ class BallisticPathState(PathState):
         by_position: NDArray[np.float64],
         by_velocity: NDArray[np.float64] | None,
     ) -> NDArray[np.float64]:
+        """Return derivatives by both neighbours; see :meth:`PathState.chain`."""
         count, rows, _ = by_position.shape
         derivative = self._derivative[place.interval]
         result = np.empty((count, rows, 2, 6))

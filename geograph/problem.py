@@ -14,7 +14,6 @@ import numpy as np
 
 from geograph.blocks import BlockSum, ColumnLayout
 from geograph.eliminate import LinearSystem, Step
-from geograph.families import Values
 from geograph.losses import Loss
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from geograph.families import Evaluation, Family
+    from geograph.families import Evaluation, Family, Values
     from geograph.motion import Motion
     from geograph.states import SensorStates
 
@@ -132,6 +131,19 @@ class Problem:
         """Scalar measurements in all."""
         return sum(family.row_count for family in self.families)
 
+    def start_prior(self, origin: Values) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return mean and sigma of the first knot's prior, each shape (d,), scaled, from an origin.
+
+        Path components are deviations from the origin's first knot, walks are as they are.
+        """
+        walks = self.walk_scale.size
+        mean = (self.prior.mean - origin.path[0]) / self.path_scale
+        sigma = self.prior.sigma / self.path_scale
+        return (
+            np.concatenate([mean, np.zeros(walks)]),
+            np.concatenate([sigma, np.full(walks, _WALK_START_SIGMA)]),
+        )
+
     def evaluate(self, values: Values, *, jacobian: bool) -> list[Evaluation]:
         """Evaluate all families at one point."""
         state = self.path.at_state(values.path, jacobian=jacobian)
@@ -172,12 +184,12 @@ class Problem:
                 total += 0.5 * float(np.sum((values.walks[0] / _WALK_START_SIGMA) ** 2))
         return total
 
-    def _walk_roots(self) -> NDArray[np.float64]:
+    def walk_roots(self) -> NDArray[np.float64]:
         """Return what a walk adds over each interval, shape (K - 1, w), scaled."""
         return np.asarray(self.states.diffusion * np.sqrt(self.steps_s)[:, None] / self.walk_scale)
 
     def _walk_residual(self, values: Values) -> NDArray[np.float64]:
-        return np.diff(values.walks, axis=0) / self._walk_roots()
+        return np.diff(values.walks, axis=0) / self.walk_roots()
 
     def linearise(self, values: Values) -> LinearSystem:
         """Return the linear system of scaled increments at one point."""
@@ -219,7 +231,7 @@ class Problem:
         walk = np.arange(m, d)
         if walk.size:
             inverse[:, walk, walk] = 1.0
-            root[:, walk, walk] = self._walk_roots()
+            root[:, walk, walk] = self.walk_roots()
             residual[:, m:] = self._walk_residual(values)
         return inverse, root, residual
 

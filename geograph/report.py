@@ -62,7 +62,8 @@ def make_track(smoother: Smoother, *, seconds: float) -> Track:
     status = solution.status
     if weak.unobservable and status is Status.CONVERGED:
         status = Status.UNOBSERVABLE
-    summary = _summary(smoother, track, found, weak.sentences, status, seconds)
+    summary = _summary(smoother, track, found, weak.sentences, status)
+    summary["seconds"] = seconds
     return replace(track, status=status, summary=summary)
 
 
@@ -187,7 +188,6 @@ def _summary(
     found: list[Evaluation],
     weak: list[str],
     status: Status,
-    seconds: float,
 ) -> dict[str, Any]:
     problem, solution = smoother.problem, smoother.solution
     kept = ~smoother.rejected
@@ -200,7 +200,7 @@ def _summary(
     return {
         "name": track.recording.name,
         "status": str(status),
-        "message": _message(status, solution.iterations, weak),
+        "message": _message(status, smoother.iterations, weak),
         "iterations": smoother.iterations,
         "cost": solution.cost,
         "chi2": square + prior,
@@ -218,7 +218,6 @@ def _summary(
         "spacing_s": track.settings.spacing_s,
         "interpolation": _interpolation(smoother),
         "first_guess": _guesses(smoother),
-        "seconds": seconds,
     }
 
 

@@ -1,10 +1,11 @@
 """Outliers: which measurements do not belong, found by graduated non-convexity.
 
 Truncated least squares counts a measurement as it is up to a threshold and not at all beyond. Its
-cost is reached from the convex one through a family of costs that grow less and less convex (H. Yang,
-P. Antonante, V. Tzoumas, L. Carlone, *Graduated non-convexity for robust spatial perception*, IEEE
-RA-L 5, 2020, section IV-B). The threshold belongs to a chance of 1 % that any good measurement of the
-recording is rejected, on the scale of each sensor's own residuals where these are wider than stated.
+cost is reached from the convex one through a family of costs that grow less and less convex (H.
+Yang, P. Antonante, V. Tzoumas, L. Carlone, *Graduated non-convexity for robust spatial perception*,
+IEEE RA-L 5, 2020, section IV-B). The threshold belongs to a chance of 1 % that any good measurement
+of the recording is rejected, on the scale of each sensor's own residuals where these are wider than
+stated.
 """
 
 from __future__ import annotations
@@ -78,8 +79,8 @@ def anneal(
     Parameters
     ----------
     solve
-        Solves with given weights, shape (n,), from where it last ended, and returns squared whitened
-        residuals, shape (n,).
+        Solves with given weights, shape (n,), from where it last ended, and returns squared
+        whitened residuals, shape (n,).
     square
         Squared whitened residuals of a robust estimate to start from.
     rows, group

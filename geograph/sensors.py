@@ -29,8 +29,9 @@ Refraction = Literal["none", "standard"]
 class SensorErrors:
     """Prior standard deviations of one sensor's errors, SI units; zero means known.
 
-    Biases, offsets and drifts are constants of the pass; an instability is the diffusion of a random
-    walk added to the same error. Drifts are counted from the first measurement of the recording.
+    Biases, offsets and drifts are constants of the pass; an instability is the diffusion of a
+    random walk added to the same error. Drifts are counted from the first measurement of the
+    recording.
 
     Raises
     ------
@@ -137,7 +138,8 @@ class Sensor:
     errors
         Prior standard deviations of its errors.
     correlation
-        Correlation, 0 to 1, of errors that are not modelled as states; 1 is covariance intersection.
+        Correlation, 0 to 1, of errors that are not modelled as states; 1 is covariance
+        intersection.
     refraction
         ``"standard"`` removes mean astronomical refraction from its elevations.
 

@@ -29,16 +29,16 @@ from geograph.losses import Loss
 from geograph.motion import Density, Motion
 from geograph.prepare import Prepared, prepare
 from geograph.problem import PathPrior, Problem
+from geograph.report import make_track
 from geograph.robust import anneal, thresholds
 from geograph.solver import Solution, Status, solve
 from geograph.states import CLOCK
-from geograph.report import make_track
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from geograph.track import Track
     from geograph.recording import Recording, SmoothSettings
+    from geograph.track import Track
 
 # The first knot's prior is this many distances wide: data that determine the path do not feel it.
 _PRIOR_WIDTH = 100.0
@@ -84,19 +84,11 @@ class Smoother:
 
     def run(self) -> None:
         """Solve from every first guess, keep the best, and refine it."""
-        recording, settings = self.prepared.recording, self.settings
-        finder = FirstGuess(
-            self.prepared.bearings,
-            recording.constraints,
-            self.prepared.sensors,
-            self.prepared.geometry,
-            recording.propagation_speed_m_s,
-            settings.motion == "static",
-        )
+        settings = self.settings
         automatic = settings.process_noise == "auto" and settings.motion != "static"
         loss = Loss("none" if self.robust else settings.loss)
         trial = Loss("cauchy") if self.robust else loss
-        fits = finder.fits()
+        fits = self.first_guess().fits()
         best: tuple[Problem, Solution] | None = None
         several = len(fits) > 1
         for fit in fits:
@@ -117,6 +109,18 @@ class Smoother:
         if automatic:
             self._tune_noise(1.0)
         self._settle()
+
+    def first_guess(self) -> FirstGuess:
+        """Return the finder of first guesses."""
+        recording = self.prepared.recording
+        return FirstGuess(
+            self.prepared.bearings,
+            recording.constraints,
+            self.prepared.sensors,
+            self.prepared.geometry,
+            recording.propagation_speed_m_s,
+            self.settings.motion == "static",
+        )
 
     def _suspect(self, problem: Problem, values: Values) -> bool:
         """Tell whether a first guess shows residuals far outside those of their sensor."""
@@ -160,10 +164,11 @@ class Smoother:
         knots = self._knots(motion, self._emission_times(fit), resolution)
         state = fit.state(knots, order)
         span = prepared.span_s
-        powers = span ** -np.repeat(np.arange(order, dtype=np.float64), 3)
+        rank = np.repeat(np.arange(order, dtype=np.float64), 3)
+        powers = span**-rank
         prior = PathPrior(state[0], _PRIOR_WIDTH * max(fit.range_m, resolution.sigma_m) * powers)
         # Times in units of a tenth of the pass: posterior sigmas are then of order one.
-        scale = resolution.sigma_m * (10.0 / span) ** np.repeat(np.arange(order), 3)
+        scale = np.asarray(resolution.sigma_m * (10.0 / span) ** rank, dtype=np.float64)
         states = prepared.states
         constants = np.zeros(states.size)
         for column, entry in enumerate(states.constants):
@@ -214,7 +219,7 @@ class Smoother:
         state = fit.state(np.linspace(low, high, 41), order)[:, -3:]
         change = float(np.sqrt(np.mean(np.var(state, axis=0))))
         span = resolution.span_s
-        return max(change / np.sqrt(span), self._least_noise(order, resolution))
+        return max(change / float(np.sqrt(span)), self._least_noise(order, resolution))
 
     def _least_noise(self, order: int, resolution: Resolution) -> float:
         """Return a process noise too small to matter over the whole pass."""
@@ -241,7 +246,8 @@ class Smoother:
 
     def distances(self) -> NDArray[np.float64]:
         """Return the distances of the object at every bearing, shape (n,), metres."""
-        return self.bearings.predicted(self.problem.path, self.solution.values)[1]
+        _, distance, _ = self.bearings.predicted(self.problem.path, self.solution.values)
+        return distance
 
     def _squares(self, problem: Problem, values: Values) -> NDArray[np.float64]:
         """Return squared whitened residuals of the bearings, shape (n,)."""
@@ -373,6 +379,24 @@ class Smoother:
             if abs(cost - self.solution.cost) <= 1e-6 * max(1.0, cost):
                 break
             self.solution = self._solve(self.problem, before)
+
+
+def first_problem(recording: Recording, settings: SmoothSettings) -> tuple[Problem, Values]:
+    """Return the problem and the values that the most promising first guess leads to.
+
+    Parameters
+    ----------
+    recording, settings
+        As in :func:`smooth`.
+
+    Raises
+    ------
+    InputError
+        If the recording has no measurement.
+    """
+    smoother = Smoother(prepare(recording), settings)
+    loss = Loss("none" if smoother.robust else settings.loss)
+    return smoother.start(smoother.first_guess().fits()[0], loss)
 
 
 def _better(one: Solution, other: Solution) -> bool:

@@ -1,14 +1,14 @@
 """Levenberg-Marquardt over a problem's structured linear systems.
 
 Plain Gauss-Newton steps as long as they lower the cost; damping, in scaled unknowns, is switched on
-when one does not, and fades again (J. Nocedal, S. J. Wright, *Numerical Optimization*, 2nd ed., 2006,
-section 10.3).
+when one does not, and fades again (J. Nocedal, S. J. Wright, *Numerical Optimization*, 2nd ed.,
+2006, section 10.3).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +28,7 @@ _FIRST_DAMPING = 1e-4
 _LARGEST_DAMPING = 1e14
 
 
-class Status(str, Enum):
+class Status(StrEnum):
     """How a solve ended."""
 
     CONVERGED = "converged"
@@ -42,9 +42,6 @@ class Status(str, Enum):
 
     UNOBSERVABLE = "unobservable"
     """The data do not determine the path; the summary says what is missing."""
-
-    def __str__(self) -> str:
-        return self.value
 
 
 @dataclass(frozen=True, eq=False)

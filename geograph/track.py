@@ -1,4 +1,4 @@
-"""The result: the path, its uncertainty, every sensor's errors, residuals, and what to make of it."""
+"""The result: the path with its uncertainty, every sensor's errors, residuals, a summary."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class TrackPoints:
     @property
     def order(self) -> int:
         """Number of blocks of the state: 1 position, 2 + velocity, 3 + acceleration."""
-        return self.state.shape[1] // 3
+        return int(self.state.shape[1]) // 3
 
     @property
     def position_m(self) -> NDArray[np.float64]:
@@ -129,7 +129,7 @@ class TrackPoints:
         return self.covariance[:, :3, :3]
 
     def geodetic(self) -> NDArray[np.float64] | None:
-        """Return latitude (deg), longitude (deg), height (m), shape (n, 3); None in a local frame."""
+        """Return latitude, longitude (deg) and height (m), shape (n, 3); None in a local frame."""
         return geodetic_from_ecef(self.position_m) if self.frame == "ecef" else None
 
     def enu_covariance_m2(self) -> NDArray[np.float64] | None:
@@ -242,7 +242,9 @@ class Track(TrackPoints):
             return TrackPoints(
                 time, state, np.broadcast_to(self.covariance[0], shape).copy(), self.frame
             )
-        covariance = self._between(np.clip(time, self.time_s[0], self.time_s[-1]))
+        covariance: NDArray[np.float64] = self._between(
+            np.clip(time, self.time_s[0], self.time_s[-1])
+        )
         for outside, end in ((time < self.time_s[0], 0), (time > self.time_s[-1], -1)):
             if outside.any():
                 covariance[outside] = self._beyond(time[outside] - self.time_s[end], end)
@@ -259,7 +261,7 @@ class Track(TrackPoints):
             matrix = np.concatenate(rows, axis=1).reshape(time_s.size, size, 2 * size)
         else:
             weights = interpolation_matrices(motion.order, place.step_s, place.offset_s)
-            matrix = np.kron(weights, np.eye(3))
+            matrix = np.asarray(np.kron(weights, np.eye(3)), dtype=np.float64)
         pair = self._pairs()[place.interval]
         covariance = matrix @ pair @ np.swapaxes(matrix, 1, 2)
         if not motion.static:

@@ -111,7 +111,7 @@ class Family(ABC):
     def subset(self, index: NDArray[np.int64]) -> Family:
         """Return the family of some of its measurements."""
 
-    def refresh(self, path: Path, values: Values) -> None:
+    def refresh(self, path: Path, values: Values) -> None:  # noqa: B027 - most hold nothing fixed
         """Bring what is held fixed during a solve up to date with an estimate.
 
         Noise that depends on the geometry, and the times at which walks are read, are constants of

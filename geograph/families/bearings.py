@@ -78,8 +78,8 @@ class BearingFamily(Family):
         # An azimuth alone has no tangent plane: its on-sky sigma is that of the coordinate.
         self._tangent = bearings.isotropic & ~self.azimuth_only
         self._uniform = bool(self._tangent.all())
-        clocked = np.isin(CLOCK, [state.channel for state in (*states.constants, *states.walks)])
-        self._clocked = bool(clocked)
+        channels = {state.channel for state in states.constants}
+        self._clocked = CLOCK in channels | {walk.channel for walk in states.walks}
         self._light_time = np.zeros(len(bearings))
         self._walk_time = bearings.time_s.copy()
         self._poses: SensorPoses | None = None
@@ -108,6 +108,7 @@ class BearingFamily(Family):
         self._walk_time = place.time_s.copy()
 
     def subset(self, index: NDArray[np.int64]) -> BearingFamily:
+        """Return the family of some of its bearings."""
         columns = {name: column[index] for name, column in vars(self.bearings).items()}
         part = BearingFamily(
             type(self.bearings)(**columns),

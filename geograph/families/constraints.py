@@ -92,6 +92,7 @@ class AltitudeFamily(_ConstraintFamily):
     def evaluate(
         self, path: Path, state: PathState, values: Values, *, jacobian: bool
     ) -> Evaluation:
+        """Evaluate all constraints at one point."""
         del values
         place = path.locate(self.time_s)
         position, _ = state.position_velocity(place)
@@ -111,6 +112,7 @@ class SpeedFamily(_ConstraintFamily):
     def evaluate(
         self, path: Path, state: PathState, values: Values, *, jacobian: bool
     ) -> Evaluation:
+        """Evaluate all constraints at one point."""
         del values
         place = path.locate(self.time_s)
         _, velocity = state.position_velocity(place)
