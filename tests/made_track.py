@@ -24,6 +24,8 @@ LATITUDE, LONGITUDE = 51.93, -2.2
 class MadeStatus(enum.StrEnum):
     converged = "converged"
     unobservable = "unobservable"
+    iteration_limit = "iteration_limit"
+    diverged = "diverged"
 
 
 @dataclass(frozen=True)

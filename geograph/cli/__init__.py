@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        status = app(args=words, prog_name="geograph", standalone_mode=False)
+        status = app(args=words, prog_name="geograph", standalone_mode=False, obj=words)
         sys.stdout.flush()
     except GeographError as error:
         return _complain(str(error), BAD_INPUT)

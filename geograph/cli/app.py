@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path  # noqa: TC003 - typer evaluates the annotations
 from typing import Annotated, Any
 
@@ -42,6 +43,7 @@ def _options(
 
 @app.command()
 def smooth(
+    context: typer.Context,
     recordings: Annotated[
         list[Path],
         typer.Argument(metavar="RECORDING...", help="Folders or .zip archives of recordings."),
@@ -119,14 +121,15 @@ def smooth(
         "loss": loss,
         "max_iterations": max_iterations,
     }
-    changes = run_smooth.settings_from(given)
+    request = run_smooth.Request(
+        output=output,
+        changes=run_smooth.settings_from(given),
+        pictures=plots,
+        command=shlex.join(["geograph", *context.obj]),
+    )
     if len(recordings) == 1:
-        status = run_smooth.smooth_one(recordings[0], output, changes, pictures=plots)
-    else:
-        status = run_smooth.smooth_several(
-            recordings, output, changes, pictures=plots, workers=jobs
-        )
-    raise typer.Exit(status)
+        raise typer.Exit(run_smooth.smooth_one(recordings[0], request))
+    raise typer.Exit(run_smooth.smooth_several(recordings, request, workers=jobs))
 
 
 @app.command()

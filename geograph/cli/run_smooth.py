@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from geograph.cli import BAD_INPUT, NOT_CONVERGED, OK, UNEXPECTED
@@ -45,7 +45,29 @@ def _noise(text: str) -> float | tuple[float, ...] | str:
     return numbers[0] if len(numbers) == 1 else numbers
 
 
-def smooth_one(source: Path, output: Path, changes: Mapping[str, Any], *, pictures: bool) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What was asked for.
+
+    Parameters
+    ----------
+    output
+        Folder of the results.
+    changes
+        Settings that differ from the recording's.
+    pictures
+        Whether to draw them.
+    command
+        The command line, for the summary.
+    """
+
+    output: Path
+    changes: Mapping[str, Any]
+    pictures: bool
+    command: str
+
+
+def smooth_one(source: Path, request: Request) -> int:
     """Smooth one recording into a folder, print its table, and return the exit status."""
     from geograph import smooth
     from geograph.cli.report import results_text
@@ -53,28 +75,21 @@ def smooth_one(source: Path, output: Path, changes: Mapping[str, Any], *, pictur
     from geograph.results import from_track
     from geograph.results.write import check_target, save
 
-    check_target(output)
+    check_target(request.output)
     with _spinner(f"smoothing {source}"):
         recording = read(source)
         try:
-            track = smooth(recording, raise_on_failure=False, **changes)
+            track = smooth(recording, raise_on_failure=False, **request.changes)
         except SolveError as error:
             print(f"geograph: {recording.name}: {error.status}: {error}", file=sys.stderr)
             return NOT_CONVERGED
-        results = from_track(track, command=_command())
-        save(results, output, pictures=pictures)
-    print(results_text(results, output))
+        results = from_track(track, command=request.command)
+        save(results, request.output, pictures=request.pictures)
+    print(results_text(results, request.output))
     return OK if results.status == "converged" else NOT_CONVERGED
 
 
-def smooth_several(
-    sources: Sequence[Path],
-    output: Path,
-    changes: Mapping[str, Any],
-    *,
-    pictures: bool,
-    workers: int | None,
-) -> int:
+def smooth_several(sources: Sequence[Path], request: Request, *, workers: int | None) -> int:
     """Smooth recordings into a folder each, print a table, and return the exit status."""
     from geograph.batch import smooth_many
     from geograph.cli.report import batch_text
@@ -82,14 +97,14 @@ def smooth_several(
     with _progress(len(sources)) as advance:
         outcomes = smooth_many(
             sources,
-            output,
+            request.output,
             workers=workers,
-            changes=changes,
-            pictures=pictures,
-            command=_command(),
+            changes=request.changes,
+            pictures=request.pictures,
+            command=request.command,
             on_done=advance,
         )
-    print(batch_text(outcomes, output))
+    print(batch_text(outcomes, request.output))
     for outcome in outcomes:
         if outcome.kind in ("bad input", "crashed"):
             print(f"geograph: error: {outcome.message}", file=sys.stderr)
@@ -104,10 +119,6 @@ def smooth_several(
         if kind in kinds:
             return status
     return OK
-
-
-def _command() -> str:
-    return shlex.join(["geograph", *sys.argv[1:]])
 
 
 @contextmanager
