@@ -80,7 +80,7 @@ def replacing_folder(
     finally:
         # After an exchange this is the old content; after an error what was written of the new.
         try:
-            shutil.rmtree(staging, ignore_errors=True)
+            _remove(staging)
         finally:
             os.close(lock)
 
@@ -203,6 +203,15 @@ def _remove_if_dead(staging: Path) -> None:
         pass  # Its owner lives.
     finally:
         os.close(lock)
+
+
+def _remove(folder: Path) -> None:
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+    except KeyboardInterrupt:
+        # The user stopped the run just while it tidied up: tidy up, then stop.
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 def _put_in_place(staging: Path, folder: Path) -> None:

@@ -1,14 +1,16 @@
 """Fireball recordings in the GFE standard: one ECSV file of directions for each camera.
 
-The Global Fireball Exchange standard (H. Rowe et al., *The Global Fireball Exchange*, WGN 2021)
-fixes columns ``datetime`` (UTC), ``azimuth`` (degrees east of north) and ``altitude`` (degrees
-above the horizon) and the keys ``obs_latitude``, ``obs_longitude`` (degrees) and ``obs_elevation``
-(metres) of the header. Other columns are not read: right ascension and declination repeat the same
-directions, with units that differ between networks.
+The standard of the Global Fireball Exchange (UK Fireball Alliance; J. Rowe et al., *Using
+incompatible fireball camera systems to find meteorites*, EPSC 2020, 856) fixes columns ``datetime``
+(UTC), ``azimuth`` (degrees east of north) and ``altitude`` (degrees above the horizon) and the keys
+``obs_latitude``, ``obs_longitude`` (degrees) and ``obs_elevation`` (metres above mean sea level) of
+the header. Other columns are not read: right ascension and declination repeat the same directions,
+with units that differ between networks.
 """
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -47,6 +49,11 @@ FIREBALL_SETTINGS = SmoothSettings(
 )
 """A decelerating body deviates along its path, hardly across it; single frames can be far off."""
 
+# Digits beyond nanoseconds are dropped.
+_UTC_TIME = re.compile(
+    r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:\.\d{1,9})?)?)(?:(?<=\.\d{9})\d+)?(?:Z|z|\+00:00)?",
+    re.ASCII,
+)
 _MINUTE_NS = 60_000_000_000
 
 
@@ -68,6 +75,7 @@ def read_ecsv(
     clock_offset_s: PerCamera = DEFAULT_CLOCK_OFFSET_S,
     bias_deg: PerCamera | None = None,
     sigma_deg: PerCamera | None = None,
+    geoid_height_m: PerCamera = 0.0,
     settings: SmoothSettings = FIREBALL_SETTINGS,
     name: str = "fireball",
 ) -> Recording:
@@ -89,6 +97,10 @@ def read_ecsv(
     sigma_deg
         On-sky sigma of a direction, degrees. By default each camera's own scatter
         (:func:`geograph.io.scatter.angular_scatter_rad`).
+    geoid_height_m
+        Height of mean sea level above the ellipsoid at the cameras, metres, which is added to
+        ``obs_elevation``. By default 0: one offset common to all cameras (about 50 m in England)
+        moves the whole path by as much, and not all networks keep to the standard here.
     settings
         Settings of the recording.
     name
@@ -112,10 +124,12 @@ def read_ecsv(
         bias = _value(bias_deg, camera.name, names, "bias_deg")
         if bias is None:
             bias = max(DEFAULT_BIAS_DEG, round(float(np.degrees(sigma)), 3))
+        undulation = _value(geoid_height_m, camera.name, names, "geoid_height_m") or 0.0
+        latitude, longitude, elevation = camera.geodetic
         offset = _value(clock_offset_s, camera.name, names, "clock_offset_s")
         sensors[camera.name] = Sensor(
             name=camera.name,
-            position_m=ecef_from_geodetic(*camera.geodetic),
+            position_m=ecef_from_geodetic(latitude, longitude, elevation + undulation),
             axes="enu",
             errors=SensorErrors(
                 azimuth_bias_rad=float(np.radians(bias)),
@@ -233,12 +247,12 @@ def _times_ns(column: Any, path: Path, lines: list[int]) -> NDArray[np.int64]:
     texts = [str(value).strip() for value in getattr(column, "isot", column)]
     times = np.empty(len(texts), dtype=np.int64)
     for row, text in enumerate(texts):
-        plain = text[:-1] if text[-1:] in ("Z", "z") else text.removesuffix("+00:00")
+        found = _UTC_TIME.fullmatch(text)
         try:
             # Only years that nanoseconds in 64 bits can count.
-            if not 1700 < int(plain[:4]) < 2250 or len(plain) < 16:
+            if found is None or not 1700 < int(text[:4]) < 2250:
                 raise ValueError
-            times[row] = np.datetime64(plain.strip(), "ns").astype(np.int64)
+            times[row] = np.datetime64(found[1], "ns").astype(np.int64)
         except ValueError:
             raise InputError(
                 f"is {shown(text)}; expected a UTC time such as 2021-02-28T21:54:15.760",
@@ -297,17 +311,17 @@ def _distinct(cameras: list[_Camera]) -> list[_Camera]:
 def _value(option: PerCamera | None, name: str, names: list[str], what: str) -> float | None:
     """Return a camera's value of an option, None where it is not given."""
     if not isinstance(option, Mapping):
-        return None if option is None else _positive(option, what)
+        return None if option is None else _checked(option, what)
     for key in option:
         if key not in names:
             raise InputError(f"{what} names {shown(key)}; {expected_one_of(key, names)}")
-    return _positive(option[name], what) if name in option else None
+    return _checked(option[name], what) if name in option else None
 
 
-def _positive(value: float, what: str) -> float:
-    low_enough = isinstance(value, (int, float, np.number)) and 0.0 <= value <= 1e6
-    if not low_enough or (what == "sigma_deg" and value == 0.0):
-        raise InputError(f"{what} is {shown(value)}; expected a number above 0")
+def _checked(value: float, what: str) -> float:
+    lowest = {"geoid_height_m": -1e3, "sigma_deg": 1e-9}.get(what, 0.0)
+    if not isinstance(value, (int, float, np.number)) or not lowest <= value <= 1e6:
+        raise InputError(f"{what} is {shown(value)}; expected a number of at least {lowest:g}")
     return float(value)
 
 
