@@ -222,7 +222,13 @@ def _summary(name, status, residuals, table, knots):
         "degrees_of_freedom": 580,
         "measurements": residuals.time_s.size // 2,
         "rejected": [
-            {"sensor": "CAM00", "time_s": 1.0, "line": 9, "normalised": np.float64(400.0)}
+            {
+                "sensor": list(table)[residuals.sensor[row]],
+                "time_s": float(residuals.time_s[row]),
+                "line": int(residuals.line[row]),
+                "normalised": residuals.normalised[row],
+            }
+            for row in np.flatnonzero(residuals.rejected)[::2]
         ],
         "weakly_observed": [],
         "sensors": {

@@ -102,7 +102,8 @@ def _sensor_rows(results: Results) -> list[list[str]]:
     rows = [header]
     for place in results.sensors[:_MOST_SENSORS]:
         facts = results.summary.get("sensors", {}).get(place.sensor, {})
-        row = [place.sensor, str(facts.get("measurements", "")), str(facts.get("rejected", ""))]
+        rejected = sum(entry["sensor"] == place.sensor for entry in results.summary["rejected"])
+        row = [place.sensor, str(facts.get("measurements", "")), str(rejected)]
         row.append(_number(_rms(results, place.sensor)))
         for state in states:
             error = by_name.get((place.sensor, state))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from geograph.results import Results, SensorPath
 
-_ELLIPSES, _SIGHT_LINES, _REJECTED_LINES = 15, 12, 40
+_ELLIPSES, _SIGHT_LINES = 15, 12
 
 
 def draw_path(results: Results, ax: Axes, *, sensors: bool, legend: bool = True) -> None:
@@ -44,7 +44,7 @@ def draw_path(results: Results, ax: Axes, *, sensors: bool, legend: bool = True)
     ax.set_xlabel(f"{plane.across} ({unit.name})")
     ax.set_ylabel(f"{plane.along} ({unit.name})")
     ax.set_aspect("equal", adjustable="datalim")
-    ax.margins(0.08)
+    ax.margins(0.14 if sensors else 0.08)
     if legend:
         ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.13), ncols=3, borderaxespad=0.0)
 
@@ -116,12 +116,12 @@ def _draw_sight_lines(
 ) -> None:
     """Draw some of a sensor's bearings as measured, each as long as the path is away."""
     start, end, rejected = sight_lines(results, place)
-    for wanted, most, style in (
-        (~rejected, _SIGHT_LINES, {"color": colour, "alpha": 0.45}),
-        (rejected, _REJECTED_LINES, {"color": look.ALARM, "ls": ":"}),
+    for wanted, style in (
+        (~rejected, {"color": colour, "alpha": 0.45}),
+        (rejected, {"color": look.ALARM, "ls": ":", "alpha": 0.8}),
     ):
         rows = np.flatnonzero(wanted)
-        rows = rows[look.some(rows.size, most)] if rows.size else rows
+        rows = rows[look.some(rows.size, _SIGHT_LINES)] if rows.size else rows
         lines = np.stack([plane.project(start[rows]), plane.project(end[rows])]) / unit
         ax.plot(lines[..., 0], lines[..., 1], lw=0.7, zorder=1, **style)
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geograph.plot import _style as look
-from geograph.plot._time import time_label
 from geograph.units import fitting_unit
 
 if TYPE_CHECKING:
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
 _KIND_LOOK = (("o", look.BLUE), ("^", look.ORANGE), ("s", look.GREEN), ("D", look.PURPLE))
 _NORMALISED_LIMIT = 6.0
 _TALL_LAYOUT = 8
+_TAG = "time tag, by the sensor's own clock (s)"
 
 
 def draw_normalised(results: Results, ax: Axes) -> None:
@@ -33,7 +33,7 @@ def draw_normalised(results: Results, ax: Axes) -> None:
             label = place.sensor if len(results.sensors) <= 12 else "_"
             _scatter_normalised(ax, rows, label=label, **style)
     _mark_rejected(ax, results.residuals, normalised=True)
-    ax.set_xlabel(time_label(results))
+    ax.set_xlabel(_TAG)
     ax.set_ylabel("residual / sigma")
 
 
@@ -58,7 +58,7 @@ def residual_figure(results: Results) -> Figure:
         _draw_kinds(right, rows)
         right.set_ylabel("residual / sigma")
     for ax in axes[-1]:
-        ax.set_xlabel(time_label(results))
+        ax.set_xlabel(_TAG)
     _legend(figure, axes.ravel().tolist())
     return figure
 
@@ -82,7 +82,7 @@ def _grid_figure(results: Results, sensors: list[str]) -> Figure:
     for ax in axes[:, 0]:
         ax.set_ylabel("residual / sigma")
     for ax in axes[-1]:
-        ax.set_xlabel("time (s)")
+        ax.set_xlabel(_TAG)
     _legend(figure, axes.ravel().tolist())
     return figure
 

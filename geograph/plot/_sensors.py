@@ -40,7 +40,7 @@ def draw_errors_in_sigmas(results: Results, ax: Axes) -> None:
     ax.set_ylim(len(shown) - 0.4, -0.6)
     reach = max(3.4, *(abs(e.estimate) / e.prior_sigma * 1.15 for e in shown))
     ax.set_xlim(-reach, reach)
-    ax.set_xlabel("sensor error / prior sigma, with 95 % bars")
+    ax.set_xlabel("error / prior sigma (95 % bars)")
     if len(errors) > len(shown):
         ax.set_title(f"the {len(shown)} greatest of {len(errors)} sensor errors")
     ax.grid(axis="y", visible=False)
@@ -64,7 +64,14 @@ def error_figure(results: Results) -> Figure:
     figure = look.new_figure(max(4.2 * columns, 7.0), 0.8 + height * rows + 2.8 * lower)
     look.headline(figure, results, "sensor errors")
     grid = figure.add_gridspec(rows + lower, columns, height_ratios=[height] * rows + [2.8] * lower)
-    if not states:
+    if states:
+        figure.supxlabel(
+            "bars: 95 %; grey: prior, 1 sigma; (!): more than 3 prior sigmas from zero",
+            fontsize=9,
+            x=0.01,
+            ha="left",
+        )
+    else:
         ax = figure.add_subplot(grid[0, 0])
         ax.text(0.5, 0.5, "all sensors are taken as perfect", ha="center", va="center")
         ax.set_axis_off()
@@ -95,7 +102,7 @@ def _draw_state(ax: Axes, errors: list[ErrorState]) -> None:
     ax.set_ylim(len(errors) - 0.4, -0.6)
     _limit_to_estimates(ax, errors, unit.size)
     ax.set_title(errors[0].state.replace("_", " "))
-    ax.set_xlabel(f"{unit.name}; 95 % bars; grey: prior 1 sigma; (!): beyond 3")
+    ax.set_xlabel(unit.name)
     ax.grid(axis="y", visible=False)
 
 

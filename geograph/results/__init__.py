@@ -2,7 +2,7 @@
 
 Pictures, comparisons and tables are made from :class:`Results` and nothing else, so that what can
 be drawn right after smoothing can be drawn again, years later, from the files alone
-(docs/format.md describes them).
+(docs/results.md describes them).
 """
 
 from geograph.results.data import (

@@ -119,7 +119,7 @@ class ResidualTable:
     weight
         Weight that the loss gave it, 0 to 1.
     rejected
-        Whether it was rejected as a gross outlier.
+        Whether it was rejected as a gross outlier, or the loss weighed it down to nothing.
     line
         Line of the file it came from, or 0.
     """

@@ -161,10 +161,14 @@ def _curve(track: Track, sensor: Sensor, kind: ErrorKind, start: float, end: flo
 def _residual_table(track: Track) -> ResidualTable:
     source = track.residuals
     names = np.asarray(track.recording.sensor_names, dtype=np.str_)
+    sensor = names[np.asarray(source.sensor, dtype=np.int64)]
     kind = np.asarray(source.kind, dtype=np.str_)
+    # The summary names what a loss weighed down to nothing, too.
+    named = {(row["sensor"], row["time_s"], row["line"]) for row in track.summary["rejected"]}
+    rows = zip(sensor.tolist(), source.time_s.tolist(), source.line.tolist(), strict=True)
     return ResidualTable(
         time_s=source.time_s,
-        sensor=names[np.asarray(source.sensor, dtype=np.int64)],
+        sensor=sensor,
         kind=kind,
         unit=_residual_units(kind),
         measured=source.measured,
@@ -173,7 +177,7 @@ def _residual_table(track: Track) -> ResidualTable:
         sigma=source.sigma,
         normalised=source.normalised,
         weight=source.weight,
-        rejected=source.rejected,
+        rejected=source.rejected | np.array([row in named for row in rows], dtype=np.bool_),
         line=source.line,
     )
 
