@@ -15,14 +15,15 @@ from geograph.io.source import decode
 from geograph.io.tables import ColumnSpec, Kind, Table, TextBuilder, bad_number, match_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from _csv import Reader
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-# Large enough for the speed of whole columns, small enough that the texts of a long table are
-# never all in memory.
-_ROWS_AT_ONCE = 1 << 16
+# Large enough for the speed of whole columns; small enough that the garbage collector has little to
+# walk through, and that the texts of a long table are never all in memory.
+_ROWS_AT_ONCE = 1 << 9
 
 
 def parse_csv(content: bytes, place: Path, specs: Sequence[ColumnSpec]) -> Table:
@@ -52,15 +53,13 @@ def parse_csv(content: bytes, place: Path, specs: Sequence[ColumnSpec]) -> Table
         names = [name.strip() for name in header]
         matched = match_columns(names, specs, place, line=1)
         builder = _Builder(place, names, matched)
-        last_line = reader.line_num
-        while numbered := [(row, reader.line_num) for row in islice(reader, _ROWS_AT_ONCE)]:
-            ends = [end for _, end in numbered]
-            # A row of several lines (a line break within quotes) counts as its first.
-            starts = [last_line + 1, *(end + 1 for end in ends[:-1])]
-            last_line = ends[-1]
-            kept = [(row, start) for (row, _), start in zip(numbered, starts, strict=True) if row]
-            if kept:
-                builder.add([row for row, _ in kept], [start for _, start in kept])
+        # Only within quotes can a row go over several lines.
+        pieces = _quoted_pieces(reader) if '"' in text else _plain_pieces(reader)
+        for rows, lines in pieces:
+            if [] not in rows:
+                builder.add(rows, lines)
+            elif kept := [index for index, row in enumerate(rows) if row]:
+                builder.add([rows[index] for index in kept], lines[kept])
     except csv.Error as error:
         raise InputError(
             f"is not valid CSV ({error}); expected commas between cells and paired quotes",
@@ -68,6 +67,27 @@ def parse_csv(content: bytes, place: Path, specs: Sequence[ColumnSpec]) -> Table
             line=reader.line_num,
         ) from None
     return builder.table()
+
+
+def _plain_pieces(reader: Reader) -> Iterator[tuple[list[list[str]], NDArray[np.int64]]]:
+    line = reader.line_num + 1
+    while rows := list(islice(reader, _ROWS_AT_ONCE)):
+        yield rows, np.arange(line, line + len(rows), dtype=np.int64)
+        line += len(rows)
+
+
+def _quoted_pieces(reader: Reader) -> Iterator[tuple[list[list[str]], NDArray[np.int64]]]:
+    """Yield rows with the lines in which they begin."""
+    line = reader.line_num + 1
+    while True:
+        rows, lines = [], []
+        for row in islice(reader, _ROWS_AT_ONCE):
+            rows.append(row)
+            lines.append(line)
+            line = reader.line_num + 1
+        if not rows:
+            return
+        yield rows, np.array(lines, dtype=np.int64)
 
 
 class _Builder:
@@ -84,7 +104,7 @@ class _Builder:
             name: TextBuilder() for name, spec in self._columns if spec.kind is Kind.TEXT
         }
 
-    def add(self, rows: list[list[str]], lines: list[int]) -> None:
+    def add(self, rows: list[list[str]], lines: NDArray[np.int64]) -> None:
         width = len(self._columns)
         if set(map(len, rows)) != {width}:
             row, line = next((r, n) for r, n in zip(rows, lines, strict=True) if len(r) != width)
@@ -92,9 +112,9 @@ class _Builder:
                 f"{len(row)} cells; expected {width} as in the header; is a comma missing or "
                 "one too many?",
                 path=self._place,
-                line=line,
+                line=int(line),
             )
-        self._lines.append(np.array(lines, dtype=np.int64))
+        self._lines.append(lines)
         for (name, spec), cells in zip(self._columns, zip(*rows, strict=True), strict=True):
             if spec.kind is Kind.TEXT:
                 self._texts[name].extend([cell.strip() for cell in cells])
@@ -102,7 +122,7 @@ class _Builder:
                 self._numbers[name].append(self._convert(name, spec, cells, lines))
 
     def _convert(
-        self, name: str, spec: ColumnSpec, cells: Sequence[str], lines: list[int]
+        self, name: str, spec: ColumnSpec, cells: Sequence[str], lines: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         joined = "".join(cells)
         # float() also takes 1_000 and digits of other scripts, which nobody means in a table.
@@ -122,7 +142,7 @@ class _Builder:
         return self._convert_one_by_one(name, spec, cells, lines)
 
     def _convert_one_by_one(
-        self, name: str, spec: ColumnSpec, cells: Sequence[str], lines: list[int]
+        self, name: str, spec: ColumnSpec, cells: Sequence[str], lines: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         values = np.empty(len(cells))
         for index, (cell, line) in enumerate(zip(cells, lines, strict=True)):
@@ -133,7 +153,7 @@ class _Builder:
             number = _plain_number(text)
             if number is None:
                 raise InputError(
-                    bad_number(cell, spec), path=self._place, line=line, column=plain(name)
+                    bad_number(cell, spec), path=self._place, line=int(line), column=plain(name)
                 )
             values[index] = number
         return values
