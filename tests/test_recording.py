@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import pathlib
+import re
 import shutil
 import time
 import zipfile
@@ -18,6 +20,12 @@ from recordings import BEARINGS, valid_files, write_files
 import geograph as gg
 from geograph.errors import InputError
 from geograph.io import convert
+from geograph.io.reader import (
+    BEARING_COLUMNS,
+    CONSTRAINT_COLUMNS,
+    TRAJECTORY_COLUMNS,
+    TRUTH_COLUMNS,
+)
 from geograph.io.writer import exact_degrees
 from geograph.measurements import Bearings, Constraints, Truth
 from geograph.recording import Recording, SmoothSettings
@@ -337,6 +345,27 @@ def test_convert_refuses_mixtures(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has its own sigmas"):
         convert([tmp_path / "a"], tmp_path / "out", sigma_deg=0.1)
     assert not (tmp_path / "out").exists()
+
+
+def test_the_recording_of_the_document(tmp_path: Path) -> None:
+    text = (pathlib.Path(__file__).parents[1] / "docs" / "format.md").read_text(encoding="utf-8")
+    header, table = (re.search(f"```{kind}\n(.*?)```", text, re.DOTALL) for kind in ("toml", "csv"))
+    assert header is not None
+    assert table is not None
+    write_files(tmp_path, {"recording.toml": header[1], "bearings.csv": table[1]})
+    recording = gg.read(tmp_path)
+    assert recording.sensor_names == ("DFNEXT065", "UK000X")
+    assert recording.bearings is not None
+    assert len(recording.bearings) == 4
+
+
+def test_the_document_names_every_key_and_column() -> None:
+    text = (pathlib.Path(__file__).parents[1] / "docs" / "format.md").read_text(encoding="utf-8")
+    columns = BEARING_COLUMNS + CONSTRAINT_COLUMNS + TRUTH_COLUMNS + TRAJECTORY_COLUMNS
+    names = {spec.names_in_file[0] for spec in columns}
+    names |= {entry.name.replace("_rad", "_deg") for entry in dataclasses.fields(SensorErrors)}
+    names |= {entry.name for entry in dataclasses.fields(SmoothSettings)}
+    assert {name for name in names if name not in text} == set()
 
 
 def test_a_long_table_is_read_in_seconds(tmp_path: Path) -> None:
