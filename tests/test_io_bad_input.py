@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 import struct
 import zipfile
@@ -395,6 +396,15 @@ def test_sigmas(tmp_path: Path, header: str, row: str, expected: str) -> None:
 
 def test_missing_folder(tmp_path: Path) -> None:
     assert "no such file or folder" in message_of(tmp_path / "nothing")
+
+
+def test_pipes_are_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    assert "pipe: is not a regular file" in message_of(tmp_path / "pipe")
+    write_files(tmp_path, valid_files())
+    (tmp_path / "truth.csv").unlink()
+    os.mkfifo(tmp_path / "truth.csv")
+    assert "truth.csv: is not a regular file" in message_of(tmp_path)
 
 
 def test_folder_without_recording(tmp_path: Path) -> None:

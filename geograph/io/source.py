@@ -172,6 +172,10 @@ def open_source(path: Path | str) -> Source:
         raise InputError(
             "no such file or folder; expected a recording's folder, or a .zip of one", path=place
         )
+    if not place.is_file():
+        raise InputError(
+            "is not a regular file; expected a recording's folder, or a .zip of one", path=place
+        )
     if place.name == HEADER_NAME:
         raise InputError(
             f"is a recording's header; expected its folder; give {place.parent}", path=place
