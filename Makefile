@@ -13,6 +13,10 @@ BIN := $(VENV)/bin
 DEMO := demo-output
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
+# The matrices are small, and tests run in parallel: threads would only wait for each other.
+export OPENBLAS_NUM_THREADS := 1
+export OMP_NUM_THREADS := 1
+
 .DEFAULT_GOAL := demo
 .PHONY: demo test check bench docs clean
 

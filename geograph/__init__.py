@@ -11,16 +11,22 @@ towards y in ``xyz`` axes; *measured = predicted + error*.
 
 from __future__ import annotations
 
-from geograph.ellipsoids import Ellipsoids
-from geograph.errors import GeographError, InputError, SolveError
-from geograph.graph import GtsamGraph, build
-from geograph.io import read, write
-from geograph.measurements import Bearings, Constraints, Truth
-from geograph.recording import Recording, SmoothSettings
-from geograph.sensors import Sensor, SensorErrors, Trajectory
-from geograph.smooth import smooth
-from geograph.solver import Status
-from geograph.track import SensorEstimate, Track, TrackPoints
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from geograph.ellipsoids import Ellipsoids
+    from geograph.errors import GeographError, InputError, SolveError
+    from geograph.graph import GtsamGraph, build
+    from geograph.io import read, write
+    from geograph.measurements import Bearings, Constraints, Truth
+    from geograph.recording import Recording, SmoothSettings
+    from geograph.sensors import Sensor, SensorErrors, Trajectory
+    from geograph.smooth import smooth
+    from geograph.solver import Status
+    from geograph.track import SensorEstimate, Track, TrackPoints
 
 __version__ = "0.1.0"
 
@@ -48,3 +54,53 @@ __all__ = [
     "smooth",
     "write",
 ]
+
+# Imported when first asked for: GTSAM and SciPy take most of a second, and neither an error message
+# nor the help of a command needs them.
+_HOMES = {
+    "Bearings": "geograph.measurements",
+    "Constraints": "geograph.measurements",
+    "Ellipsoids": "geograph.ellipsoids",
+    "GeographError": "geograph.errors",
+    "GtsamGraph": "geograph.graph",
+    "InputError": "geograph.errors",
+    "Recording": "geograph.recording",
+    "Sensor": "geograph.sensors",
+    "SensorErrors": "geograph.sensors",
+    "SensorEstimate": "geograph.track",
+    "SmoothSettings": "geograph.recording",
+    "SolveError": "geograph.errors",
+    "Status": "geograph.solver",
+    "Track": "geograph.track",
+    "TrackPoints": "geograph.track",
+    "Trajectory": "geograph.sensors",
+    "Truth": "geograph.measurements",
+    "build": "geograph.graph",
+    "read": "geograph.io",
+    "smooth": "geograph.smooth",
+    "write": "geograph.io",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOMES[name]), name)
+    setattr(sys.modules[__name__], name, value)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(set(globals()) | set(__all__))
+
+
+class _Package(ModuleType):
+    """The package, in which the module ``geograph.smooth`` does not hide its function."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # Importing a module sets it as an attribute of its package.
+        if not (name in _HOMES and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

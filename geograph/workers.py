@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_THREAD_LIMITS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+THREAD_LIMITS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""Environment variables that limit the threads of linear algebra, read when NumPy is loaded."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,7 @@ def _serve(function: Callable[[Item], Result], pipe: Connection[Any, Any]) -> No
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
     """Keep processes that fill all cores from starting threads for all cores each."""
-    unset = [name for name in _THREAD_LIMITS if name not in os.environ]
+    unset = [name for name in THREAD_LIMITS if name not in os.environ]
     os.environ.update(dict.fromkeys(unset, "1"))
     try:
         yield

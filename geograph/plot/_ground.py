@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -116,10 +116,11 @@ def _draw_sight_lines(
 ) -> None:
     """Draw some of a sensor's bearings as measured, each as long as the path is away."""
     start, end, rejected = sight_lines(results, place)
-    for wanted, style in (
+    styles: tuple[tuple[NDArray[np.bool_], dict[str, Any]], ...] = (
         (~rejected, {"color": colour, "alpha": 0.45}),
         (rejected, {"color": look.ALARM, "ls": ":", "alpha": 0.8}),
-    ):
+    )
+    for wanted, style in styles:
         rows = np.flatnonzero(wanted)
         rows = rows[look.some(rows.size, _SIGHT_LINES)] if rows.size else rows
         lines = np.stack([plane.project(start[rows]), plane.project(end[rows])]) / unit
