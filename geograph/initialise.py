@@ -30,6 +30,12 @@ if TYPE_CHECKING:
     from geograph.measurements import Bearings, Constraints
     from geograph.sensors import Sensor
 
+# Share of measurements with the object behind the sensor at which the fit is not trusted, and how
+# strongly the object is pulled in front, relative to a bearing's weight at the nominal distance.
+_SUSPICIOUS_SHARE = 0.1
+_WEAK_PULL = 1e-6
+_STRONG_PULL = 1e-2
+
 _RANGE_ROUNDS = 6
 _SEARCH_SAMPLES = 80
 _SEARCH_STEPS = 41
@@ -102,6 +108,16 @@ class _Lines:
 
 
 @dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows of a least-squares problem: weight (direction . (functions . coefficients) - value)."""
+
+    functions: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    value: NDArray[np.float64]
+    weight: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class _Heights:
     time_s: NDArray[np.float64]
     value: NDArray[np.float64]
@@ -137,6 +153,7 @@ class FirstGuess:
     _heights: _Heights | None = field(init=False)
 
     def __post_init__(self) -> None:
+        self._pull = _WEAK_PULL
         self._heights = self._known_heights()
         self._nominal = self._nominal_range()
 
@@ -218,6 +235,11 @@ class FirstGuess:
             raise InputError("no bearing to start from; expected at least one")
         found = [self.best_fit(clock) for clock in self._clock_hypotheses()]
         found.sort(key=lambda fit: fit.score)
+        if found[0].behind > _SUSPICIOUS_SHARE:
+            # Lines know no direction: rays may meet elsewhere, or nowhere but far away.
+            self._pull = _STRONG_PULL
+            found.append(self.best_fit(found[0].clock_s))
+            self._pull = _WEAK_PULL
         return found
 
     def best_fit(
@@ -280,7 +302,7 @@ class FirstGuess:
             basis = BSpline.design_matrix(np.clip(time, low, high), knots, degree).toarray()
             white = 1.0 / (lines.sigma * distance[:, None])
             coefficients = _weighted_lines(
-                basis, lines, white * np.sqrt(weight)[:, None], anchor, self._nominal
+                basis, lines, white * np.sqrt(weight)[:, None], anchor, self._outward(basis, lines)
             )
             if self._heights is not None:
                 coefficients = self._with_heights(
@@ -330,9 +352,17 @@ class FirstGuess:
             position = np.broadcast_to(lines.sensor_m.mean(axis=0), position.shape).copy()
         height, up = altitude(position, self.geometry.frame)
         target = np.einsum("nc,nc->n", up, position) - height + heights.value
-        return _weighted_lines(
-            basis, lines, white, anchor, self._nominal, extra=(at, up, target, 1.0 / heights.sigma)
-        )
+        known = _Rows(at, up, target, 1.0 / heights.sigma)
+        return _weighted_lines(basis, lines, white, anchor, self._outward(basis, lines), known)
+
+    def _outward(self, basis: NDArray[np.float64], lines: _Lines) -> _Rows:
+        """Return the weak wish that the object be in front of the sensors, at a nominal distance.
+
+        It decides between the object and the sensor itself, which lies on all of its own lines.
+        """
+        value = np.einsum("nc,nc->n", lines.direction, lines.sensor_m) + self._nominal
+        weight = np.full(value.size, self._pull / (self._nominal * np.median(lines.sigma[:, 0])))
+        return _Rows(basis, lines.direction, value, weight)
 
     def _clock_hypotheses(self) -> list[NDArray[np.float64]]:
         """Search the clocks that matter, one after another, keeping the best few hypotheses."""
@@ -527,9 +557,7 @@ def _weighted_lines(
     lines: _Lines,
     white: NDArray[np.float64],
     anchor: NDArray[np.float64],
-    nominal_m: float,
-    *,
-    extra: tuple[NDArray[np.float64], ...] | None = None,
+    *extra: _Rows,
 ) -> NDArray[np.float64]:
     """Solve for the spline's coefficients, shape (b, 3), by regularised least squares.
 
@@ -539,27 +567,16 @@ def _weighted_lines(
     size = 3 * basis.shape[1]
     information = np.zeros((size, size))
     target = np.zeros(size)
-    rows = [
-        (
-            basis,
-            lines.across[:, k],
-            np.einsum("nc,nc->n", lines.across[:, k], lines.sensor_m),
-            white[:, k],
-        )
-        for k in range(2)
-    ]
-    if extra is not None:
-        at, up, value, weight = extra
-        rows.append((at, up, value, weight))
-    for functions, direction, value, weight in rows:
-        design = (functions[:, :, None] * direction[:, None, :]).reshape(-1, size)
-        design = design * weight[:, None]
+    across = lines.across
+    values = np.einsum("nkc,nc->nk", across, lines.sensor_m)
+    rows = [_Rows(basis, across[:, k], values[:, k], white[:, k]) for k in range(2)]
+    for part in (*rows, *extra):
+        design = (part.functions[:, :, None] * part.direction[:, None, :]).reshape(-1, size)
+        design = design * part.weight[:, None]
         information += design.T @ design
         # Relative to the anchor, so that large coordinates do not cost digits.
-        offset = (value - direction @ anchor) * weight
-        target += design.T @ offset
-    ridge = 1e-6 * float(np.trace(information)) / size * 1e-6
-    information[np.diag_indices(size)] += ridge if ridge > 0.0 else 1.0 / nominal_m**2
+        target += design.T @ ((part.value - part.direction @ anchor) * part.weight)
+    information[np.diag_indices(size)] += 1e-12 * float(np.trace(information)) / size
     solution = np.linalg.solve(information, target).reshape(-1, 3)
     # A spline's basis adds up to one everywhere: a constant is the same in every coefficient.
     return np.asarray(solution + anchor)

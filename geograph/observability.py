@@ -49,10 +49,7 @@ def weak_directions(track: Track, distance_m: NDArray[np.float64]) -> WeakDirect
     """
     covariance = track.position_covariance_m2
     if not np.isfinite(covariance).all():
-        return WeakDirections(
-            ["the information of the measurements is singular: some unknowns are not seen at all"],
-            True,
-        )
+        return WeakDirections([_singular(track)], True)
     distance = float(np.median(distance_m))
     sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance)[:, -1], 0.0))
     best, worst = int(np.argmin(sigma)), int(np.argmax(sigma))
@@ -65,6 +62,19 @@ def weak_directions(track: Track, distance_m: NDArray[np.float64]) -> WeakDirect
         share = f"for {100.0 * weak.mean():.0f} % of the path, at worst"
         sentences.append(_sentence(track, worst, share))
     return WeakDirections(sentences, unobservable)
+
+
+def _singular(track: Track) -> str:
+    """Say what is missing where the information could not even be inverted."""
+    used = np.unique(track.residuals.sensor)
+    sensors = list(track.recording.sensors.values())
+    if used.size == 1 and sensors[int(used[0])].trajectory is None:
+        name = track.recording.sensor_names[int(used[0])]
+        return (
+            f"{name} alone, from one place, sees directions only: the distance along its line of "
+            "sight is not determined; add a second sensor, or a constraint"
+        )
+    return "the information of the measurements is singular: some unknowns are not seen at all"
 
 
 def _sentence(track: Track, knot: int, where: str) -> str:

@@ -60,7 +60,7 @@ def make_track(smoother: Smoother, *, seconds: float) -> Track:
     )
     weak = weak_directions(track, smoother.distances())
     status = solution.status
-    if weak.unobservable and status is Status.CONVERGED:
+    if weak.unobservable and status in {Status.CONVERGED, Status.ITERATION_LIMIT}:
         status = Status.UNOBSERVABLE
     summary = _summary(smoother, track, found, weak.sentences, status)
     summary["seconds"] = seconds
@@ -195,7 +195,7 @@ def _summary(
     square += sum(float(np.sum(part.residual**2)) for part in found[1:])
     prior = 2.0 * problem.prior_cost(solution.values)
     lost = int(np.sum(np.where(smoother.bearings.azimuth_only, 1, 2)[~kept]))
-    freedom = problem.measurement_rows - lost - 3 * problem.motion.order
+    freedom = max(problem.measurement_rows - lost - 3 * problem.motion.order, 0)
     noise = problem.motion.density
     return {
         "name": track.recording.name,

@@ -33,6 +33,7 @@ from geograph.report import make_track
 from geograph.robust import anneal, thresholds
 from geograph.solver import Solution, Status, solve
 from geograph.states import CLOCK
+from geograph.threads import single_blas_thread
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 # The first knot's prior is this many distances wide: data that determine the path do not feel it.
 _PRIOR_WIDTH = 100.0
 _ROUNDS = 6
+_TRIAL_ITERATIONS = 40
 
 
 @dataclass(eq=False)
@@ -95,12 +97,15 @@ class Smoother:
             problem, values = self.start(fit, trial if several or automatic else loss)
             if self.robust and problem.loss == loss and self._suspect(problem, values):
                 problem = problem.with_weights(problem.weights, trial)
-            solution = self._solve(problem, values)
+            limit = _TRIAL_ITERATIONS if several else settings.max_iterations
+            solution = self._solve(problem, values, min(limit, settings.max_iterations))
             self.guesses.append((fit, solution.cost))
             if best is None or _better(solution, best[1]):
                 best = problem, solution
         assert best is not None
         self.problem, self.solution = best
+        if self.solution.status is Status.ITERATION_LIMIT and several:
+            self._change(self.problem)
         self.guesses.sort(key=lambda guess: guess[1])
         if automatic:
             self._tune_noise(4.0)
@@ -226,9 +231,9 @@ class Smoother:
         best = resolution.sigma_m / np.sqrt(resolution.count)
         return float(1e-2 * best / resolution.span_s ** (order - 0.5))
 
-    def _solve(self, problem: Problem, values: Values) -> Solution:
-        """Solve, and again while the knots do not cover the emission times."""
-        solution = solve(problem, values, max_iterations=self.settings.max_iterations)
+    def _solve(self, problem: Problem, values: Values, limit: int | None = None) -> Solution:
+        """Solve, counting the iterations."""
+        solution = solve(problem, values, max_iterations=limit or self.settings.max_iterations)
         self.iterations += solution.iterations
         return solution
 
@@ -439,9 +444,10 @@ def smooth(
     """
     began = time.perf_counter()
     chosen = (settings or recording.settings).replace(**changes)
-    smoother = Smoother(prepare(recording), chosen)
-    smoother.run()
-    track = make_track(smoother, seconds=time.perf_counter() - began)
+    with single_blas_thread():
+        smoother = Smoother(prepare(recording), chosen)
+        smoother.run()
+        track = make_track(smoother, seconds=time.perf_counter() - began)
     if raise_on_failure and track.status is not Status.CONVERGED:
         raise SolveError(str(track.summary["message"]), status=str(track.status))
     return track

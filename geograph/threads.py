@@ -1,0 +1,40 @@
+"""One BLAS thread for many small matrices.
+
+Knots have ten to thirty unknowns: BLAS threads cost more than they give there (measured: two threads
+on two cores double the processor time of a pass, and four passes at once on as many processes hold
+each other up). Processes are the way to use more cores (``geograph smooth --jobs``).
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING
+
+from threadpoolctl import ThreadpoolController
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_depth = 0
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    # Finding the loaded libraries takes milliseconds, so it is done once.
+    return ThreadpoolController()
+
+
+@contextmanager
+def single_blas_thread() -> Iterator[None]:
+    """Hold BLAS to one thread within the context; nested contexts cost nothing."""
+    global _depth  # noqa: PLW0603 - BLAS threads are a property of the process, too
+    _depth += 1
+    try:
+        if _depth > 1:
+            yield
+        else:
+            with _controller().limit(limits=1, user_api="blas"):
+                yield
+    finally:
+        _depth -= 1
