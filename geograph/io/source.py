@@ -120,7 +120,7 @@ class ZipSource:
             # Damaged members end in errors of several libraries: zlib, lzma, bz2, struct.
             except Exception as error:
                 raise InputError(
-                    f"cannot be unpacked ({error}); expected a whole zip archive; make it again",
+                    f"cannot be unpacked ({str(error)[:120]}); expected a whole zip archive; make it again",
                     path=self.place(name),
                 ) from None
 
@@ -132,7 +132,7 @@ class ZipSource:
         # Broken directories also end in UnicodeDecodeError, struct.error, OverflowError and others.
         except Exception as error:
             raise InputError(
-                f"is not a zip archive ({error}); expected a recording's folder, or a .zip of one",
+                f"is not a zip archive ({str(error)[:120]}); expected a recording's folder, or a .zip of one",
                 path=self.path,
             ) from None
 
@@ -167,7 +167,7 @@ def open_source(path: Path | str) -> Source:
             return FolderSource(place)
         exists = place.exists()
     except (OSError, ValueError, RuntimeError) as error:
-        raise InputError(f"cannot be opened ({error})", path=shown(str(path))) from None
+        raise InputError(f"cannot be opened ({str(error)[:120]})", path=shown(str(path))) from None
     if not exists:
         raise InputError(
             "no such file or folder; expected a recording's folder, or a .zip of one", path=place
