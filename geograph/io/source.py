@@ -120,7 +120,8 @@ class ZipSource:
             # Damaged members end in errors of several libraries: zlib, lzma, bz2, struct.
             except Exception as error:
                 raise InputError(
-                    f"cannot be unpacked ({str(error)[:120]}); expected a whole zip archive; make it again",
+                    f"cannot be unpacked ({str(error)[:120]}); expected a whole zip archive; "
+                    "make it again",
                     path=self.place(name),
                 ) from None
 
@@ -132,7 +133,8 @@ class ZipSource:
         # Broken directories also end in UnicodeDecodeError, struct.error, OverflowError and others.
         except Exception as error:
             raise InputError(
-                f"is not a zip archive ({str(error)[:120]}); expected a recording's folder, or a .zip of one",
+                f"is not a zip archive ({str(error)[:120]}); expected a recording's folder, or a "
+                ".zip of one",
                 path=self.path,
             ) from None
 
