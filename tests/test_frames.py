@@ -1,0 +1,84 @@
+"""Poses of sensors: which axes they have, and how these move."""
+
+import numpy as np
+import pytest
+from differences import derivative
+
+from geograph.constants import EARTH_ROTATION_RAD_S
+from geograph.errors import InputError
+from geograph.frames import SensorGeometry, frame_spin_rad_s
+from geograph.geodesy import ecef_from_geodetic
+from geograph.sensors import Sensor, Trajectory
+
+PLACE = ecef_from_geodetic(48.0, 11.0, 500.0)
+TIMES = np.linspace(0.0, 100.0, 21)
+
+
+def orbit(frame):
+    """A sensor on a satellite, or on a carousel."""
+    centre, radius = (np.zeros(3), 7e6) if frame == "ecef" else (np.ones(3), 50.0)
+    phase = 0.011 * TIMES
+    circle = np.stack([np.cos(phase), 0.6 * np.sin(phase), 0.8 * np.sin(phase)], axis=1)
+    return Trajectory(TIMES, centre + radius * circle)
+
+
+def geometry(frame):
+    return SensorGeometry(
+        [
+            Sensor(name="fixed enu", position_m=PLACE, axes="enu"),
+            Sensor(name="fixed xyz", position_m=PLACE, axes="xyz"),
+            Sensor(name="moving enu", trajectory=orbit(frame), axes="enu"),
+            Sensor(name="moving xyz", trajectory=orbit(frame), axes="xyz"),
+        ],
+        frame,
+    )
+
+
+def test_only_ecef_turns():
+    assert frame_spin_rad_s("ecef") == EARTH_ROTATION_RAD_S
+    assert frame_spin_rad_s("local") == 0.0
+
+
+@pytest.mark.parametrize("frame", ["ecef", "local"])
+def test_moving_sensors_and_their_axes(frame):
+    """Velocities and turning axes are the time derivatives of positions and axes."""
+    sensor = np.array([2, 0, 3, 2, 1, 2])
+    time = np.array([3.0, 50.0, 61.7, 42.0, 10.0, 98.3])
+    found = geometry(frame).poses(sensor, time)
+
+    def read(name):
+        def at(shift):
+            return getattr(geometry(frame).poses(sensor, time + shift[0]), name)
+
+        return derivative(at, [0.0], [0.05])[:, 0]
+
+    np.testing.assert_allclose(found.velocity_m_s.ravel(), read("position_m"), rtol=0.0, atol=1e-4)
+    turning = read("axes").reshape(6, 3, 3)
+    rate = np.zeros((6, 3, 3)) if found.axes_rate is None else found.axes_rate
+    np.testing.assert_allclose(rate, turning, rtol=0.0, atol=1e-9)
+    assert (np.abs(turning).max() > 1e-4) == (frame == "ecef")
+    np.testing.assert_array_equal(found.position_m[[1, 4]], [PLACE, PLACE])
+    assert not found.velocity_m_s[[1, 4]].any()
+
+
+def test_rows_of_the_axes_are_north_east_up():
+    axes = geometry("ecef").poses(np.array([0]), np.array([0.0])).axes[0]
+    up = axes[2]
+    assert np.degrees(np.arcsin(up[2])) == pytest.approx(48.0, abs=1e-9)
+    assert axes[0, 2] == pytest.approx(np.cos(np.radians(48.0)))
+    assert axes[1, 2] == 0.0
+    # Clockwise from north seen from above: north x east points down.
+    np.testing.assert_allclose(np.cross(axes[0], axes[1]), -up, atol=1e-15)
+
+
+def test_local_enu_is_y_x_z_and_xyz_is_the_frame():
+    found = geometry("local").poses(np.array([0, 1]), np.zeros(2))
+    np.testing.assert_array_equal(found.axes[0], [[0, 1, 0], [1, 0, 0], [0, 0, 1]])
+    np.testing.assert_array_equal(found.axes[1], np.eye(3))
+
+
+@pytest.mark.parametrize("axes", ["body", "radec"])
+def test_axes_that_are_not_supported(axes):
+    sensor = Sensor(name="S7", position_m=PLACE, axes=axes)
+    with pytest.raises(InputError, match=f"'S7' measures in '{axes}' axes.*expected enu or xyz"):
+        SensorGeometry([sensor], "ecef")
