@@ -2,8 +2,8 @@
 
 GTSAM's ``CustomFactor`` crashes the interpreter when a Jacobian is left unassigned, is not
 two-dimensional or has the wrong number of rows, and takes a wrong number of columns silently. The
-adapter checks the first result of every factor against the dimensions that the factor was made
-with, and turns what is not finite into an error before GTSAM sees it.
+adapter checks every result against the dimensions that the factor was made with, and turns what is
+not finite into an error before GTSAM sees it.
 """
 
 from __future__ import annotations
@@ -74,7 +74,6 @@ def vector_factor(
     """
     expected = [(rows, size) for size in sizes]
     key_list = list(keys)
-    checked = [False]
 
     def evaluate(
         this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[NDArray[np.float64]] | None
@@ -87,9 +86,7 @@ def vector_factor(
             raise FactorError("a factor's error is not finite; check the values it is given")
         if wanted:
             matrices = [np.asfortranarray(part, dtype=np.float64) for part in derivatives]
-            if not checked[0]:
-                _check(error, matrices, rows, expected)
-                checked[0] = True
+            _check(error, matrices, rows, expected)
             assert jacobians is not None
             for index, matrix in enumerate(matrices):
                 jacobians[index] = matrix

@@ -73,9 +73,10 @@ def ellipsoids(
 def circular_error_probable_m(covariance_m2: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return radii of circles that hold half of the probability, shape (n,), metres.
 
-    Exact to rounding for centred Gaussians in the plane: the chance inside a radius r is the
-    average over directions of 1 - exp(-r^2 / (2 s^2(direction))), solved for one half (the
-    distribution of the radial error; R. S. Hoyt, Proc. IRE 35, 1947).
+    Exact to rounding for centred Gaussians in the plane (the distribution of the radial error;
+    R. S. Hoyt, Proc. IRE 35, 1947): with the plane stretched so that the Gaussian is round, the
+    chance inside a radius r is the average over the directions a there of
+    1 - exp(-r^2 / (2 (s1^2 cos^2 a + s2^2 sin^2 a))), solved for one half.
 
     Parameters
     ----------
@@ -85,16 +86,12 @@ def circular_error_probable_m(covariance_m2: NDArray[np.float64]) -> NDArray[np.
     values = np.maximum(np.linalg.eigvalsh(covariance_m2), 0.0)
     large = values[:, 1]
     safe = np.where(large > 0.0, large, 1.0)
-    ratio = np.clip(values[:, 0] / safe, 1e-12, 1.0)
+    ratio = np.clip(values[:, 0] / safe, 0.0, 1.0)
     angle = (np.arange(256) + 0.5) * (np.pi / 2 / 256)
-    # In the direction of angle a the density falls off with cos^2 + sin^2 / ratio; directions
-    # have the weight sqrt(ratio) / that, over the quarter turn.
-    fall = np.cos(angle) ** 2 + np.sin(angle) ** 2 / ratio[:, None]
-    weight = 1.0 / (np.sqrt(ratio)[:, None] * fall)
-    weight /= weight.sum(axis=1, keepdims=True)
+    spread = np.cos(angle) ** 2 + np.sin(angle) ** 2 * ratio[:, None]
     low, high = np.zeros(ratio.size), np.full(ratio.size, 2.0)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        inside = 1.0 - np.sum(weight * np.exp(-0.5 * middle[:, None] ** 2 * fall), axis=1)
+        inside = 1.0 - np.mean(np.exp(-0.5 * middle[:, None] ** 2 / spread), axis=1)
         low, high = np.where(inside < 0.5, middle, low), np.where(inside < 0.5, high, middle)
     return np.asarray(0.5 * (low + high) * np.sqrt(large))

@@ -266,7 +266,7 @@ def _stacked(
             cost, slope = weight * cost, weight * slope
         # An error whose square is the loss, and a derivative that gives the loss's own gradient:
         # GTSAM then finds the same minimum. Without a loss both factors are one.
-        scale = np.sqrt(np.divide(cost, square, out=np.ones_like(cost), where=square > 0.0))
+        scale = np.sqrt(np.divide(cost, square, out=slope.copy(), where=square > 0.0))
         error = (found.residual * scale[:, None]).ravel()
         if not jacobian:
             return error, []

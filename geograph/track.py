@@ -353,7 +353,8 @@ class Track(TrackPoints):
         scale: float,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return a walk's value and what it adds to the variance, each shape (n,)."""
-        place = self.problem.path.locate(np.clip(time_s, self.time_s[0], self.time_s[-1]))
+        inside = np.clip(time_s, self.time_s[0], self.time_s[-1])
+        place = self.problem.path.locate(inside)
         k = place.interval
         after = place.offset_s / place.step_s
         before = 1.0 - after
@@ -370,5 +371,7 @@ class Track(TrackPoints):
             + after[:, None] * marginals.knot_constants[k + 1, column]
         )
         both = np.einsum("ni,ni->n", cross, by_constants)
-        bridge = self.problem.states.diffusion[walk] ** 2 * place.step_s * before * after
-        return scale * value, scale**2 * own + 2.0 * scale * both + bridge
+        # What the walk may do between the knots, and beyond them.
+        free = place.step_s * before * after + np.abs(time_s - inside)
+        wander = self.problem.states.diffusion[walk] ** 2 * free
+        return scale * value, scale**2 * own + 2.0 * scale * both + wander
