@@ -34,13 +34,13 @@ check: $(VENV)/.test
 	$(BIN)/mypy
 
 bench: $(VENV)/.test
-	$(BIN)/python -m tests.benchmarks
+	$(BIN)/python tests/benchmarks/run.py
 
 docs: $(VENV)/.docs
 	$(BIN)/mkdocs build --strict --config-file .mkdocs.yml
 
 clean:
-	rm -rf $(VENV) $(DEMO) build dist site htmlcov *.egg-info .coverage* .mypy_cache .ruff_cache \
+	rm -rf $(VENV) $(DEMO) bench-output build dist site htmlcov *.egg-info .coverage* .mypy_cache .ruff_cache \
 		.pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
