@@ -168,7 +168,7 @@ class BallisticPath(Path):
     Inside an interval the path is the fall from its first knot plus the share of the miss at the
     second knot that the noise's Gaussian process gives (cubic Hermite). The fall itself is the
     quintic Hermite polynomial through position, velocity and acceleration at both of its ends,
-    which is good to 0.01 mm over 60 s in the lowest orbit.
+    which is good to 0.02 mm over 60 s in the lowest circular orbit.
 
     Parameters
     ----------
