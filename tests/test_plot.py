@@ -116,6 +116,14 @@ def test_sensor_errors_beyond_three_sigmas_are_in_the_alarm_colour():
     assert set(colours[1:]) == {look.BLUE}
 
 
+def test_sensors_without_errors_are_said_to_be_perfect(tmp_path):
+    track = make_track(drifting=False)
+    track.sensor_errors.clear()
+    assert len(plot.save_all(track, tmp_path)) == len(plot.PICTURES)
+    (note,) = plot.sensor_errors(track).texts
+    assert note.get_text() == "all sensors are taken as perfect"
+
+
 def test_error_curves_have_a_line_for_each_sensor():
     ax = plot.sensor_error_curves(make_track(sensors=4), kind="azimuth")
     assert [entry.get_label() for entry in ax.get_lines()] == [f"CAM{i:02d}" for i in range(4)]
