@@ -1,7 +1,7 @@
 """The Cramer-Rao bound: how well any estimator could do.
 
-The posterior bound of a problem at a point is the inverse of its information there, measurements and
-priors together, with all nuisance states (H. L. Van Trees, *Detection, Estimation, and Modulation
+The posterior bound of a problem at a point is the inverse of its information there, measurements
+and priors together, with all nuisance states (H. L. Van Trees, *Detection, Estimation, and Modulation
 Theory*, part I, 1968, section 2.4.3). Evaluated at the truth of many simulated passes and averaged,
 it bounds the mean squared error of every estimator.
 """
@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from geograph.eliminate import Elimination
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from geograph.families import Values

@@ -37,7 +37,9 @@ _WEAK_PULL = 1e-6
 _STRONG_PULL = 1e-2
 
 _RANGE_ROUNDS = 6
-_SEARCH_SAMPLES = 80
+_RANGE_TOLERANCE = 1e-3
+_SEARCH_SAMPLES = 40
+_SEARCH_ROUNDS = 3
 _SEARCH_STEPS = 41
 _HYPOTHESES = 4
 _PATH_SAMPLES = 400
@@ -283,7 +285,9 @@ class FirstGuess:
             segments *= 2
         return [option for option in options if option[0] + option[1] <= most] or [(0, 1)]
 
-    def _fit(self, lines: _Lines, degree: int, segments: int) -> _Attempt:
+    def _fit(
+        self, lines: _Lines, degree: int, segments: int, rounds: int = _RANGE_ROUNDS
+    ) -> _Attempt:
         """Fit one spline, with ranges, light times and robust weights found by iteration."""
         low, high = float(lines.time_s.min()), float(lines.time_s.max())
         if not high > low:
@@ -298,7 +302,7 @@ class FirstGuess:
         anchor = self._anchor(lines)
         coefficients = np.zeros((count, 3))
         normalised = np.zeros((time.size, 2))
-        for iteration in range(_RANGE_ROUNDS):
+        for iteration in range(rounds):
             basis = BSpline.design_matrix(np.clip(time, low, high), knots, degree).toarray()
             white = 1.0 / (lines.sigma * distance[:, None])
             coefficients = _weighted_lines(
@@ -309,11 +313,14 @@ class FirstGuess:
                     BSpline(knots, coefficients, degree), basis, lines, white=white, anchor=anchor
                 )
             sight = basis @ coefficients - lines.sensor_m
+            before = distance
             distance = np.maximum(np.linalg.norm(sight, axis=1), 1e-6 * self._nominal)
             white = 1.0 / (lines.sigma * distance[:, None])
             normalised = np.einsum("nkc,nc->nk", lines.across, sight) * white
-            if iteration >= 2:
+            if iteration >= 1:
                 weight = _robust_weights(normalised)
+            if iteration >= 3 and (np.abs(distance - before) < _RANGE_TOLERANCE * before).all():
+                break
             if np.isfinite(self.speed_m_s):
                 time = lines.time_s - distance / self.speed_m_s
         along = np.einsum("nc,nc->n", lines.direction, sight)
@@ -469,9 +476,9 @@ class FirstGuess:
             trial = clock_s.copy()
             trial[sensor] = offset
             lines = self.lines(trial, rows)
-            attempts = [self._fit(lines, degree, 1) for degree in (1, 3)]
+            attempts = [self._fit(lines, degree, 1, _SEARCH_ROUNDS) for degree in (1, 3)]
             if _scores(attempts)[1] < _scores(attempts)[0]:
-                attempts.append(self._fit(lines, 3, 4))
+                attempts.append(self._fit(lines, 3, 4, _SEARCH_ROUNDS))
             return _misfit(attempts) + float(offset / prior_s[sensor]) ** 2
 
         grid = np.linspace(-3.0, 3.0, _SEARCH_STEPS) * prior_s[sensor]

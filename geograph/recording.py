@@ -67,7 +67,7 @@ class SmoothSettings:
     process_noise_along: float | None = None
     spacing_s: float | None = None
     loss: LossName = "auto"
-    max_iterations: int = 100
+    max_iterations: int = 500
 
     def __post_init__(self) -> None:
         if self.motion not in get_args(MotionName):

@@ -32,7 +32,7 @@ from geograph.problem import PathPrior, Problem
 from geograph.report import make_track
 from geograph.robust import anneal, thresholds
 from geograph.solver import Solution, Status, solve
-from geograph.states import CLOCK
+from geograph.states import CLOCK, ELEVATION
 from geograph.threads import single_blas_thread
 
 if TYPE_CHECKING:
@@ -172,9 +172,11 @@ class Smoother:
         rank = np.repeat(np.arange(order, dtype=np.float64), 3)
         powers = span**-rank
         prior = PathPrior(state[0], _PRIOR_WIDTH * max(fit.range_m, resolution.sigma_m) * powers)
-        # Times in units of a tenth of the pass: posterior sigmas are then of order one.
-        scale = np.asarray(resolution.sigma_m * (10.0 / span) ** rank, dtype=np.float64)
+        # What the sensors may be off by is the unit of length, a tenth of the pass that of time.
         states = prepared.states
+        biases = [s.sigma for s in states.constants if s.channel <= ELEVATION and not s.drift]
+        blur = np.hypot(1.0, (np.median(biases) if biases else 0.0) / resolution.sigma_rad)
+        scale = np.asarray(resolution.sigma_m * blur * (10.0 / span) ** rank, dtype=np.float64)
         constants = np.zeros(states.size)
         for column, entry in enumerate(states.constants):
             if entry.channel == CLOCK and not entry.drift:

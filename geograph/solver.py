@@ -1,8 +1,9 @@
 """Levenberg-Marquardt over a problem's structured linear systems.
 
 Plain Gauss-Newton steps as long as they lower the cost; damping, in scaled unknowns, is switched on
-when one does not, and fades again (J. Nocedal, S. J. Wright, *Numerical Optimization*, 2nd ed.,
-2006, section 10.3).
+when one does not, and grows and fades with the agreement of cost and linear model (J. Nocedal, S. J.
+Wright, *Numerical Optimization*, 2nd ed., 2006, section 10.3; H. B. Nielsen, *Damping parameter in
+Marquardt's method*, IMM-REP-1999-05).
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 # Predicted decrease at which the estimate is final, in units of the cost. The estimate is then
 # within sqrt(2e-9) posterior sigmas of the minimum, and the step predicted is still taken.
 TOLERANCE = 1e-9
+
+# A minimum that rounding hides is within this many tolerances (5 % of a posterior sigma).
+_ROUNDING = 1e6
 
 _FIRST_DAMPING = 1e-4
 _LARGEST_DAMPING = 1e14
@@ -91,7 +95,7 @@ def solve(
     solution
         With status converged, iteration_limit or diverged.
     """
-    damping = 0.0
+    damping, growth = 0.0, 2.0
     system = problem.linearise(values)
     if not np.isfinite(system.cost):
         return Solution(values, Status.DIVERGED, system.cost, 0, None)
@@ -115,21 +119,40 @@ def solve(
             values = candidate
             system = problem.linearise(candidate) if moved is None else moved
             damping = _relaxed(damping, gain)
+            growth = 2.0
             continue
         if small:
-            # Damped down to nothing, and still no descent: rounding decides here.
-            return Solution(values, Status.CONVERGED, system.cost, iteration + 1, _undamped(system))
-        damping = _FIRST_DAMPING if damping == 0.0 else damping * 10.0
+            return _stuck(values, system, iteration + 1, tolerance=tolerance)
+        damping = damping * growth if damping > 0.0 else _FIRST_DAMPING
+        growth *= 2.0
         if damping > _LARGEST_DAMPING:
             return Solution(values, Status.DIVERGED, system.cost, iteration, _undamped(system))
     return Solution(values, Status.ITERATION_LIMIT, system.cost, max_iterations, _undamped(system))
+
+
+def _stuck(values: Values, system: LinearSystem, iterations: int, *, tolerance: float) -> Solution:
+    """End a solve that was damped down to nothing, and still found no descent.
+
+    At a minimum it is rounding that decides there. Anywhere else the cost has a kink, or does not
+    follow its derivatives, and the step with the least damping would still gain something.
+    """
+    elimination, step, damping = _damped_step(system, 0.0)
+    left = np.inf if step is None else step.decrease
+    converged = left <= _ROUNDING * tolerance * max(1.0, system.cost)
+    return Solution(
+        values,
+        Status.CONVERGED if converged else Status.DIVERGED,
+        system.cost,
+        iterations,
+        elimination if damping == 0.0 else None,
+    )
 
 
 def _relaxed(damping: float, gain: float) -> float:
     """Return the damping after an accepted step."""
     if damping == 0.0:
         return 0.0
-    relaxed = damping * (0.1 if gain > 0.75 else 0.5 if gain > 0.25 else 2.0)
+    relaxed = damping * max(1.0 / 3.0, 1.0 - (2.0 * min(gain, 1.5) - 1.0) ** 3)
     return 0.0 if relaxed < 1e-7 else relaxed
 
 

@@ -1,8 +1,8 @@
 """Efficiency and consistency on simulated passes, against worlds that share no equation.
 
-Every statement about ANEES is a two-sided 99 % chi-square band over the passes (one knot of each, so
-that they are independent): a right smoother fails it once in a hundred choices of the seeds, and the
-seeds are fixed.
+Every statement about ANEES is a two-sided 99 % chi-square band over the passes (one knot of each,
+so that they are independent): a right smoother fails it once in a hundred choices of the seeds, and
+the seeds are fixed.
 """
 
 from __future__ import annotations
@@ -11,14 +11,15 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-import geograph as gg
 import numpy as np
 import pytest
+from scipy.stats import chi2
+
+import geograph as gg
 from geograph.bounds import cramer_rao_bound
 from geograph.families import Values
 from geograph.scenarios.low_orbit import LowOrbit, low_orbit_world
 from geograph.solver import Status
-from scipy.stats import chi2
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -115,11 +115,11 @@ def test_scatter_of_the_cameras(winchcombe: Recording) -> None:
     }
     assert all(np.ptp(values) == 0.0 for values in sigma.values())
     # Sub-arcminute for the still camera of 36 megapixels, arcminutes for video.
-    assert 0.2 < sigma["DFNEXT065"][0] < 0.8
-    assert 0.7 < sigma["UK000X"][0] < 2.0
-    assert 0.8 < sigma["GBWL01"][0] < 2.5
-    assert 1.5 < sigma["Loughborou_SW"][0] < 8.0
-    assert 2.5 < sigma["AMS100"][0] < 12.0
+    assert 0.3 < sigma["DFNEXT065"][0] < 0.9
+    assert 0.9 < sigma["UK000X"][0] < 2.0
+    assert 1.6 < sigma["GBWL01"][0] < 5.0
+    assert 6.0 < sigma["Loughborou_SW"][0] < 10.0
+    assert 5.0 < sigma["AMS100"][0] < 12.0
 
 
 def test_priors(winchcombe: Recording) -> None:
@@ -127,8 +127,7 @@ def test_priors(winchcombe: Recording) -> None:
         bias = np.degrees(sensor.errors.azimuth_bias_rad)
         assert sensor.errors.clock_offset_s == 1.0
         assert bias == np.degrees(sensor.errors.elevation_bias_rad)
-        assert bias == pytest.approx(0.055 if name == "AMS100" else 0.02, abs=0.021)
-        assert bias >= 0.02 - 1e-12
+        assert bias == pytest.approx(0.02), name
 
 
 def smooth_pass(
@@ -153,18 +152,15 @@ def test_scatter_finds_white_noise(sigma_arcmin: float) -> None:
     assert np.mean(np.array(found, dtype=float)) == pytest.approx(sigma_arcmin * ARCMIN, rel=0.06)
 
 
-def test_scatter_withstands_outliers() -> None:
-    rng = np.random.default_rng(8)
-    time, azimuth, elevation = smooth_pass(rng, 2.0 * ARCMIN)
+def test_scatter_covers_what_wanders() -> None:
+    time, azimuth, elevation = smooth_pass(np.random.default_rng(8), ARCMIN)
     clean = angular_scatter_rad(time, azimuth, elevation)
-    bad = rng.choice(time.size, 10, replace=False)
-    spoilt = azimuth.copy()
-    spoilt[bad] += np.radians(5.0)
+    # Three seconds in which the reduction is 20' off in height.
+    spoilt = elevation + 20.0 * ARCMIN * ((time > 2.0) & (time < 5.0))
+    found = angular_scatter_rad(time, azimuth, spoilt)
     assert clean is not None
-    found = angular_scatter_rad(time, spoilt, elevation)
     assert found is not None
-    # Outliers bend the least-squares curves beside them: larger, but not by their own size.
-    assert clean < found < 20.0 * clean
+    assert 4.0 * ARCMIN < found < 12.0 * ARCMIN
 
 
 def test_scatter_of_repeated_points_is_not_agreement() -> None:

@@ -91,7 +91,26 @@ def test_stopped_at_any_moment(tmp_path: Path, way: str, stop: signal.Signals) -
     with replacing_folder(target) as staging:
         (staging / "summary.json").write_text("last")
     assert [entry.name for entry in tmp_path.iterdir()] == ["results"]
-    assert [entry.name for entry in target.iterdir()] == ["summary.json"]
+    # What is not geograph's stays.
+    assert sorted(entry.name for entry in target.iterdir()) == [
+        "1.txt", "2.txt", "inner", "summary.json"
+    ]  # fmt: skip
+    assert (target / "summary.json").read_text() == "last"
+
+
+def test_other_files_are_carried_over(tmp_path: Path) -> None:
+    target = write_files(
+        tmp_path / "out", {"summary.json": "old", "path.png": "old", "notes.txt": "mine"}
+    )
+    (target / "deeper").mkdir()
+    (target / "deeper" / "more.csv").write_text("mine")
+    with replacing_folder(target) as staging:
+        (staging / "summary.json").write_text("new")
+    assert (target / "summary.json").read_text() == "new"
+    assert (target / "notes.txt").read_text() == "mine"
+    assert (target / "deeper" / "more.csv").read_text() == "mine"
+    # A picture of the earlier run does not belong to the new one.
+    assert not (target / "path.png").exists()
 
 
 def test_error_leaves_the_old_content(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import secrets
 import shutil
 import sys
 from contextlib import contextmanager, suppress
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,12 @@ RESULT_MARKERS = ("summary.json", "batch.csv")
 RECORDING_MARKERS = ("recording.toml",)
 """File by which a folder is known to be a recording."""
 
+RESULT_FILES = ("*.csv", "*.png", "summary.json")
+"""Files of a results folder that a new run replaces; all others stay."""
+
+RECORDING_FILES = ("recording.toml", "*.csv", "*.parquet")
+"""Files of a recording that writing it anew replaces; all others stay."""
+
 _AT_FDCWD = -100
 _RENAME_EXCHANGE_LINUX = 2
 _RENAME_SWAP_MACOS = 2
@@ -36,7 +43,10 @@ _RENAME_SWAP_MACOS = 2
 
 @contextmanager
 def replacing_folder(
-    target: Path | str, *, markers: Sequence[str] = RESULT_MARKERS
+    target: Path | str,
+    *,
+    markers: Sequence[str] = RESULT_MARKERS,
+    own: Sequence[str] = RESULT_FILES,
 ) -> Iterator[Path]:
     """Give a folder to write into, which becomes ``target`` when the block ends well.
 
@@ -50,6 +60,9 @@ def replacing_folder(
     markers
         An existing folder is replaced only if it is empty or holds one of these files at its top;
         a folder of recordings is never taken for results.
+    own
+        Patterns of the names that belong to geograph. What else an existing folder holds, notes or
+        a licence, is carried over.
 
     Yields
     ------
@@ -73,6 +86,7 @@ def replacing_folder(
         with _as_input_error(target):
             if folder.exists():
                 shutil.copymode(folder, staging)
+                _carry_over(folder, staging, own)
             _sync_tree(staging)
             check_replaceable(folder, markers=markers, shown=target)
             _put_in_place(staging, folder)
@@ -83,6 +97,20 @@ def replacing_folder(
             _remove(staging)
         finally:
             os.close(lock)
+
+
+def _carry_over(folder: Path, staging: Path, own: Sequence[str]) -> None:
+    """Copy what is not geograph's from the old folder to the new one."""
+    for entry in folder.iterdir():
+        kept = staging / entry.name
+        if kept.exists() or (
+            entry.is_file() and any(fnmatch(entry.name, pattern) for pattern in own)
+        ):
+            continue
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.copytree(entry, kept, symlinks=True)
+        else:
+            shutil.copy2(entry, kept, follow_symlinks=False)
 
 
 def check_replaceable(

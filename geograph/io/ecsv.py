@@ -43,7 +43,7 @@ DEFAULT_BIAS_DEG = 0.02
 FIREBALL_SETTINGS = SmoothSettings(
     motion="constant-acceleration",
     process_noise=10.0,
-    process_noise_along=3000.0,
+    process_noise_along=1000.0,
     spacing_s=0.2,
     loss="cauchy",
 )
@@ -92,8 +92,7 @@ def read_ecsv(
     clock_offset_s
         Prior 1-sigma of every camera's clock offset, seconds.
     bias_deg
-        Prior 1-sigma of azimuth and elevation biases, degrees. By default 0.02, and not less than
-        the camera's sigma: where single points are coarse, so is the plate they were reduced on.
+        Prior 1-sigma of azimuth and elevation biases, degrees. By default 0.02.
     sigma_deg
         On-sky sigma of a direction, degrees. By default each camera's own scatter
         (:func:`geograph.io.scatter.angular_scatter_rad`).
@@ -123,7 +122,7 @@ def read_ecsv(
         sigma = np.radians(given) if given is not None else _scatter(camera, time)
         bias = _value(bias_deg, camera.name, names, "bias_deg")
         if bias is None:
-            bias = max(DEFAULT_BIAS_DEG, round(float(np.degrees(sigma)), 3))
+            bias = DEFAULT_BIAS_DEG
         undulation = _value(geoid_height_m, camera.name, names, "geoid_height_m") or 0.0
         latitude, longitude, elevation = camera.geodetic
         offset = _value(clock_offset_s, camera.name, names, "clock_offset_s")

@@ -18,6 +18,7 @@ import numpy as np
 from geograph.constants import SPEED_OF_LIGHT_M_S
 from geograph.errors import InputError
 from geograph.io.atomic import (
+    RECORDING_FILES,
     RECORDING_MARKERS,
     check_replaceable,
     replacing_file,
@@ -95,7 +96,7 @@ def write(
     else:
         if not overwrite:
             check_replaceable(target, markers=())
-        with replacing_folder(target, markers=RECORDING_MARKERS) as staging:
+        with replacing_folder(target, markers=RECORDING_MARKERS, own=RECORDING_FILES) as staging:
             for name, content in files.items():
                 (staging / name).write_bytes(content)
             written = _read_back(staging, target)
