@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from geograph.measurements import Bearings, Constraints, Truth
     from geograph.recording import Recording, SmoothSettings
     from geograph.sensors import Sensor, SensorErrors, Trajectory
-    from geograph.smooth import smooth
+    from geograph.smoother import smooth
     from geograph.solver import Status
     from geograph.track import SensorEstimate, Track, TrackPoints
 
@@ -77,7 +76,7 @@ _HOMES = {
     "Truth": "geograph.measurements",
     "build": "geograph.graph",
     "read": "geograph.io",
-    "smooth": "geograph.smooth",
+    "smooth": "geograph.smoother",
     "write": "geograph.io",
 }
 
@@ -92,15 +91,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(set(globals()) | set(__all__))
-
-
-class _Package(ModuleType):
-    """The package, in which the module ``geograph.smooth`` does not hide its function."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        # Importing a module sets it as an attribute of its package.
-        if not (name in _HOMES and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package

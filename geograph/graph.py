@@ -134,7 +134,7 @@ def build(
         If the recording has no measurement, a setting is wrong, or the motion is static with random
         walks (whose path has no noise that GTSAM could whiten).
     """
-    from geograph.smooth import first_problem
+    from geograph.smoother import first_problem
 
     problem, values = first_problem(recording, (settings or recording.settings).replace(**changes))
     return graph_of(problem, values, stacking=stacking)

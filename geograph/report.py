@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from geograph.eliminate import Marginals
     from geograph.families import BearingFamily, Evaluation
-    from geograph.smooth import Smoother
+    from geograph.smoother import Smoother
 
 _FLAG_SIGMAS = 3.0
 
@@ -41,7 +41,8 @@ def make_track(smoother: Smoother, *, seconds: float) -> Track:
     found = problem.evaluate(values, jacobian=False)
     family = smoother.bearings
     weight = _weights(smoother, found[0])
-    residuals = residual_table(family, found[0], smoother, weight)
+    out = outliers(smoother, found[0])
+    residuals = residual_table(family, found[0], smoother, weight=weight, rejected=out)
     errors = sensor_estimates(smoother, marginals)
     track = Track(
         time_s=problem.knots_s,
@@ -107,7 +108,9 @@ def residual_table(
     family: BearingFamily,
     found: Evaluation,
     smoother: Smoother,
+    *,
     weight: NDArray[np.float64],
+    rejected: NDArray[np.bool_],
 ) -> Residuals:
     """Return the residuals of all bearings, elevations behind azimuths, in the file's order.
 
@@ -118,9 +121,11 @@ def residual_table(
     found
         Their evaluation at the estimate.
     smoother
-        For the path, the estimate and the outliers.
+        For the path and the estimate.
     weight
         Shape (n,): weights that the loss gave.
+    rejected
+        Shape (n,): outliers.
     """
     problem = smoother.problem
     table = family.bearings
@@ -150,7 +155,7 @@ def residual_table(
         pick(sigma),
         pick(normalised),
         pick(weight),
-        pick(smoother.rejected),
+        pick(rejected),
         pick(table.line),
     )
 
@@ -190,11 +195,11 @@ def _summary(
     status: Status,
 ) -> dict[str, Any]:
     problem, solution = smoother.problem, smoother.solution
-    kept = ~smoother.rejected
-    square = float(np.sum(found[0].residual[kept] ** 2))
+    out = outliers(smoother, found[0])
+    square = float(np.sum(found[0].residual[~out] ** 2))
     square += sum(float(np.sum(part.residual**2)) for part in found[1:])
     prior = 2.0 * problem.prior_cost(solution.values)
-    lost = int(np.sum(np.where(smoother.bearings.azimuth_only, 1, 2)[~kept]))
+    lost = int(np.sum(np.where(smoother.bearings.azimuth_only, 1, 2)[out]))
     freedom = max(problem.measurement_rows - lost - 3 * problem.motion.order, 0)
     noise = problem.motion.density
     return {
@@ -206,10 +211,10 @@ def _summary(
         "chi2": square + prior,
         "degrees_of_freedom": freedom,
         "measurements": len(smoother.bearings) + sum(f.row_count for f in problem.families[1:]),
-        "rejected": _rejected(smoother, track),
+        "rejected": _rejected(smoother, found[0], out),
         "weakly_observed": weak,
         "flagged_sensors": _flagged(track),
-        "sensors": _per_sensor(smoother, track),
+        "sensors": _per_sensor(smoother, track, out),
         "motion": problem.motion.name,
         "process_noise": None if problem.motion.static else list(noise.axes),
         "process_noise_along": noise.along,
@@ -234,18 +239,35 @@ def _message(status: Status, iterations: int, weak: list[str]) -> str:
     return "diverged: no step lowers the cost; check units, axes and clocks of the sensors"
 
 
-def _rejected(smoother: Smoother, track: Track) -> list[dict[str, Any]]:
-    """Name every rejected bearing: left out as an outlier, or far down-weighted by the loss."""
-    residuals = track.residuals
+def outliers(smoother: Smoother, found: Evaluation) -> NDArray[np.bool_]:
+    """Return which bearings do not belong, shape (n,): left out, or far off under a robust loss.
+
+    Parameters
+    ----------
+    smoother
+        After its run.
+    found
+        Evaluation of the bearings at the estimate.
+    """
+    if smoother.problem.loss.name == "none":
+        return smoother.rejected
+    rows = np.where(smoother.bearings.azimuth_only, 1, 2)
+    square = _squares(smoother, found)
+    limit = thresholds(square, rows, smoother.prepared.bearings.sensor)
+    return np.asarray(smoother.rejected | (square > limit))
+
+
+def _squares(smoother: Smoother, found: Evaluation) -> NDArray[np.float64]:
+    return np.asarray(np.sum(found.residual**2, axis=1) / smoother.bearings.weight)
+
+
+def _rejected(
+    smoother: Smoother, found: Evaluation, out: NDArray[np.bool_]
+) -> list[dict[str, Any]]:
+    """Name every rejected bearing, with its residual in sigmas."""
     table = smoother.prepared.bearings
-    names = track.recording.sensor_names
-    square = np.zeros(len(table))
-    row = np.repeat(np.arange(len(table)), np.where(smoother.bearings.azimuth_only, 1, 2))
-    np.add.at(square, row, residuals.normalised**2)
-    out = smoother.rejected.copy()
-    if smoother.problem.loss.name != "none":
-        rows = np.where(smoother.bearings.azimuth_only, 1, 2)
-        out |= square > thresholds(square, rows, table.sensor)
+    names = smoother.prepared.recording.sensor_names
+    square = _squares(smoother, found)
     return [
         {
             "sensor": names[table.sensor[index]],
@@ -270,16 +292,18 @@ def _flagged(track: Track) -> list[str]:
     return sentences
 
 
-def _per_sensor(smoother: Smoother, track: Track) -> dict[str, dict[str, Any]]:
+def _per_sensor(
+    smoother: Smoother, track: Track, out: NDArray[np.bool_]
+) -> dict[str, dict[str, Any]]:
     residuals = track.residuals
     result = {}
     for index, name in enumerate(track.recording.sensor_names):
         own = residuals.sensor == index
         kept = own & ~residuals.rejected
-        count = int(np.sum(smoother.prepared.bearings.sensor == index))
+        measured = smoother.prepared.bearings.sensor == index
         result[name] = {
-            "measurements": count,
-            "rejected": int(np.sum(smoother.rejected[smoother.prepared.bearings.sensor == index])),
+            "measurements": int(measured.sum()),
+            "rejected": int(out[measured].sum()),
             "rms_normalised": float(np.sqrt(np.mean(residuals.normalised[kept] ** 2)))
             if kept.any()
             else None,

@@ -1,9 +1,9 @@
 """Levenberg-Marquardt over a problem's structured linear systems.
 
-Plain Gauss-Newton steps as long as they lower the cost; damping, in scaled unknowns, is switched on
-when one does not, and grows and fades with the agreement of cost and linear model (J. Nocedal, S. J.
-Wright, *Numerical Optimization*, 2nd ed., 2006, section 10.3; H. B. Nielsen, *Damping parameter in
-Marquardt's method*, IMM-REP-1999-05).
+Plain Gauss-Newton steps as long as they lower the cost; damping, in scaled unknowns, is switched
+on when one does not, and grows and fades with the agreement of cost and linear model (J. Nocedal,
+S. J. Wright, *Numerical Optimization*, 2nd ed., 2006, section 10.3; H. B. Nielsen, *Damping
+parameter in Marquardt's method*, IMM-REP-1999-05).
 """
 
 from __future__ import annotations

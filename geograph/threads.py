@@ -1,8 +1,8 @@
 """One BLAS thread for many small matrices.
 
 Knots have ten to thirty unknowns: BLAS threads cost more than they give there (measured: two
-threads on two cores double the processor time of a pass, and four passes at once on as many processes hold
-each other up). Processes are the way to use more cores (``geograph smooth --jobs``).
+threads on two cores double the processor time of a pass, and passes in several processes hold each
+other up). Processes are the way to use more cores (``geograph smooth --jobs``).
 """
 
 from __future__ import annotations
