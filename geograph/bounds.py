@@ -2,8 +2,8 @@
 
 The posterior bound of a problem at a point is the inverse of its information there, measurements
 and priors together, with all nuisance states (H. L. Van Trees, *Detection, Estimation, and
-Modulation Theory*, part I, 1968, section 2.4.3). Evaluated at the truth of many simulated passes and
-averaged, it bounds the mean squared error of every estimator.
+Modulation Theory*, part I, 1968, section 2.4.3). Evaluated at the truth of many simulated passes
+and averaged, it bounds the mean squared error of every estimator.
 """
 
 from __future__ import annotations
