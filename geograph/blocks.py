@@ -4,28 +4,27 @@ The whitened Jacobian rows of a family are laid out as dense rows over the colum
 
     [ knot k (path, walks) | knot k + 1 (path, walks) | constant sensor states | residual ],
 
-gathered by interval, and multiplied with themselves in batches: one matrix of sums of products per
-interval, whose last column is the gradient. Only the layout of the rows knows the sparsity.
+sorted by interval, and multiplied with themselves: one matrix of sums of products per interval,
+whose last column is the gradient. Only the layout of the rows knows the sparsity.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import blas
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from geograph.families import Evaluation
 
-# Measurements in one batch row: products of this many rows are where matrix multiplication is
-# efficient, and intervals with few measurements waste little on padding.
-_CHUNK = 64
-
-# Bytes of dense rows held at once.
-_BUFFER_BYTES = 64 * 2**20
+# Bytes of dense rows held at once: as much as stays in a processor's cache between the filling and
+# the products.
+_BUFFER_BYTES = 2**20
 
 
 @dataclass(frozen=True)
@@ -65,6 +64,29 @@ class ColumnLayout:
         return self.states + self.constants + 1
 
 
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """Measurements whose rows are held at once.
+
+    Attributes
+    ----------
+    measurements
+        Which these are, sorted by interval.
+    place
+        Shape (n,): place of each measurement of the family among them, where it is one of them.
+    constants, walks
+        Which entries of the evaluation's constant states and walks belong to them.
+    runs
+        (interval, first measurement, end) of each interval in the pass.
+    """
+
+    measurements: slice | NDArray[np.int64]
+    place: NDArray[np.int64]
+    constants: slice | NDArray[np.int64]
+    walks: slice | NDArray[np.int64]
+    runs: list[tuple[int, int, int]]
+
+
 class BlockSum:
     """Adds up one family's information per interval; keeps its bookkeeping between calls.
 
@@ -72,41 +94,47 @@ class BlockSum:
     ----------
     layout
         Columns of the rows.
-    intervals
-        Number of intervals.
     path_scale
         Shape (3m,): scales of the path's components, SI.
     """
 
-    def __init__(
-        self, layout: ColumnLayout, intervals: int, path_scale: NDArray[np.float64]
-    ) -> None:
+    def __init__(self, layout: ColumnLayout, path_scale: NDArray[np.float64]) -> None:
         self.layout = layout
-        self.intervals = intervals
         self.path_scale = path_scale
-        self._interval: NDArray[np.int64] | None = None
+        self._planned: tuple[NDArray[np.int64], ...] | None = None
+        self._passes: list[_Pass] = []
+        self._buffer = np.empty((0, 0, 0))
 
-    def _plan(self, interval: NDArray[np.int64], rows: int) -> None:
-        """Give every measurement a chunk and a slot in it."""
-        if self._interval is not None and np.array_equal(self._interval, interval):
+    def _plan(self, found: Evaluation) -> None:
+        """Divide the measurements into passes, if they are not divided as they are now."""
+        now = (found.interval, found.constant_row, found.walk_row)
+        if self._planned is not None and all(map(np.array_equal, self._planned, now)):
             return
-        self._interval = interval
-        order = np.argsort(interval, kind="stable")
-        count = np.bincount(interval, minlength=self.intervals)
-        size = int(min(max(count.max(), 1), _CHUNK))
-        chunks = -(-count // size)
-        first_chunk = np.concatenate([[0], np.cumsum(chunks)])
-        first = np.concatenate([[0], np.cumsum(count)])
-        rank = np.arange(interval.size) - first[interval[order]]
-        self._chunk = np.empty(interval.size, dtype=np.int64)
-        self._slot = np.empty(interval.size, dtype=np.int64)
-        self._chunk[order] = first_chunk[interval[order]] + rank // size
-        self._slot[order] = (rank % size) * rows
-        self._size = size * rows
-        self._filled = np.flatnonzero(count)
-        self._starts = first_chunk[self._filled]
-        self._chunks = int(first_chunk[-1])
-        self._order = order
+        self._planned = now
+        count, rows = found.residual.shape
+        held = max(1, _BUFFER_BYTES // (8 * rows * self.layout.width))
+        order = np.argsort(found.interval, kind="stable")
+        whole = count <= held and np.array_equal(order, np.arange(count))
+        self._buffer = np.empty((min(held, count), rows, self.layout.width))
+        rank = np.empty(count, dtype=np.int64)
+        rank[order] = np.arange(count)
+        self._passes = []
+        for low in range(0, count, held):
+            part = order[low : low + held]
+            interval = found.interval[part]
+            edges = np.flatnonzero(np.diff(interval, prepend=-1, append=-1)).tolist()
+            runs = [(int(interval[first]), first, end) for first, end in pairwise(edges)]
+            everything = slice(None)
+            own = (rank >= low) & (rank < low + held)
+            self._passes.append(
+                _Pass(
+                    everything if whole else part,
+                    rank - low,
+                    everything if whole else np.flatnonzero(own[found.constant_row]),
+                    everything if whole else np.flatnonzero(own[found.walk_row]),
+                    runs,
+                )
+            )
 
     def add(
         self, total: NDArray[np.float64], found: Evaluation, root_weight: NDArray[np.float64] | None
@@ -116,87 +144,45 @@ class BlockSum:
         Parameters
         ----------
         total
-            Shape (intervals, width, width), changed in place.
+            Shape (intervals, width, width), C-contiguous, changed in place.
         found
             An evaluation with derivatives.
         root_weight
             Shape (n,): square roots of the loss's weights, or None for ones.
         """
-        self._plan(found.interval, found.residual.shape[1])
-        width = self.layout.width
-        per_pass = max(1, _BUFFER_BYTES // (8 * self._size * width))
-        if self._chunks <= per_pass:
-            dense = self._dense(found, root_weight, slice(None), 0, self._chunks)
-            sums = np.matmul(dense.transpose(0, 2, 1), dense)
-            if self._chunks == self.intervals == self._filled.size:
-                total += sums
-            else:
-                total[self._filled] += np.add.reduceat(sums, self._starts, axis=0)
-            return
-        owner = np.repeat(self._filled, np.diff(np.concatenate([self._starts, [self._chunks]])))
-        sorted_chunk = self._chunk[self._order]
-        for low in range(0, self._chunks, per_pass):
-            high = min(low + per_pass, self._chunks)
-            a, b = np.searchsorted(sorted_chunk, [low, high])
-            dense = self._dense(found, root_weight, self._order[a:b], low, high)
-            np.add.at(total, owner[low:high], np.matmul(dense.transpose(0, 2, 1), dense))
+        self._plan(found)
+        rows, width = found.residual.shape[1], self.layout.width
+        for part in self._passes:
+            dense = self._fill(part, found, root_weight).reshape(-1, width)
+            for interval, first, end in part.runs:
+                own = dense[first * rows : end * rows].T
+                # Transposed, so that BLAS adds to the block itself, which is symmetric.
+                blas.dgemm(1.0, own, own, 1.0, total[interval].T, trans_b=True, overwrite_c=True)
 
-    def _dense(
-        self,
-        found: Evaluation,
-        root_weight: NDArray[np.float64] | None,
-        selection: NDArray[np.int64] | slice,
-        low: int,
-        high: int,
+    def _fill(
+        self, part: _Pass, found: Evaluation, root_weight: NDArray[np.float64] | None
     ) -> NDArray[np.float64]:
-        """Lay out the rows of the chunks from low to high, shape (chunks, rows, width)."""
+        """Lay out the rows of a pass, shape (measurements, rows, width)."""
         assert found.by_knots is not None
         layout = self.layout
-        rows = found.residual.shape[1]
-        dense = np.zeros((high - low, self._size, layout.width))
-        weight = np.ones(found.residual.shape[0]) if root_weight is None else root_weight
-        everything = isinstance(selection, slice)
-        by_knots = found.by_knots[selection] * self.path_scale
-        chunk = self._chunk[selection] - low
-        slot = self._slot[selection]
+        by_knots = found.by_knots[part.measurements]
+        dense = self._buffer[: by_knots.shape[0]]
+        dense[:] = 0.0
+        np.multiply(by_knots[:, :, 0], self.path_scale, out=dense[:, :, : layout.path])
+        if layout.chained:
+            following = slice(layout.knot, layout.knot + layout.path)
+            np.multiply(by_knots[:, :, 1], self.path_scale, out=dense[:, :, following])
+        entry = part.constants
+        at = part.place[found.constant_row[entry]]
+        dense[at, :, layout.states + found.constant_column[entry]] = found.by_constants[entry]
+        entry = part.walks
+        if found.walk_row[entry].size:
+            at = part.place[found.walk_row[entry]]
+            before = layout.path + found.walk_column[entry]
+            share = found.walk_fraction[entry][:, None]
+            dense[at, :, before] = found.by_walks[entry] * (1.0 - share)
+            dense[at, :, before + layout.knot] = found.by_walks[entry] * share
+        dense[:, :, -1] = found.residual[part.measurements]
         if root_weight is not None:
-            by_knots *= weight[selection][:, None, None, None]
-        inside = None
-        if not everything:
-            inside = np.zeros(found.residual.shape[0], dtype=bool)
-            inside[selection] = True
-        for row in range(rows):
-            target = slot + row
-            dense[chunk, target, : layout.path] = by_knots[:, row, 0]
-            if layout.chained:
-                following = slice(layout.knot, layout.knot + layout.path)
-                dense[chunk, target, following] = by_knots[:, row, 1]
-            dense[chunk, target, -1] = (found.residual[:, row] * weight)[selection]
-            for entry_row, column, value in self._sparse(found, row):
-                keep = slice(None) if inside is None else inside[entry_row]
-                at = entry_row[keep]
-                dense[self._chunk[at] - low, self._slot[at] + row, column[keep]] = (
-                    value[keep] * weight[at]
-                )
+            dense *= root_weight[part.measurements][:, None, None]
         return dense
-
-    def _sparse(
-        self, found: Evaluation, row: int
-    ) -> list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]]:
-        """Return (measurement, column, value) of the sensor states in one residual row."""
-        layout = self.layout
-        entries = []
-        if found.constant_row.size:
-            entries.append(
-                (
-                    found.constant_row,
-                    layout.states + found.constant_column,
-                    found.by_constants[:, row],
-                )
-            )
-        if found.walk_row.size:
-            value, fraction = found.by_walks[:, row], found.walk_fraction
-            before = layout.path + found.walk_column
-            entries.append((found.walk_row, before, value * (1.0 - fraction)))
-            entries.append((found.walk_row, before + layout.knot, value * fraction))
-        return entries

@@ -134,96 +134,98 @@ class Elimination:
         self.system = system
         self.damping = damping
         d = system.knot_size
-        count = system.knots - 1
-        # Unknowns of one step: (w, x[k+1], constants), with x[k] = A x[k+1] - B w.
+        constants = system.constants
+        # x[k] = A x[k+1] - B w.
         self._a = system.inverse_transition
         self._b = system.inverse_transition @ system.noise_root
-        size = d + system.constants.size
-        information = np.zeros((size + 1, size + 1))
-        diagonal = np.arange(size)
-        information[diagonal, diagonal] = np.concatenate(
-            [system.prior_information, np.ones(system.constants.size)]
-        )
-        information[:-1, -1] = np.concatenate([system.prior_gradient, system.constants])
-        information[-1, :-1] = information[:-1, -1]
-        self._roots = np.empty((count, d, d))
-        self._rests = np.empty((count, d, size + 1))
-        information = self._sweep(information) if count else information + system.blocks[0]
-        information[diagonal[:d], diagonal[:d]] += damping
-        information[diagonal[d:], diagonal[d:]] += damping
-        self.final_information = information[:-1, :-1]
-        root, fault = lapack.dpotrf(self.final_information, lower=1)
+        # Rows of the current knot, and of the constants and the gradient, over (knot, constants,
+        # gradient).
+        knot = np.zeros((d, d + constants.size + 1))
+        np.fill_diagonal(knot, system.prior_information)
+        knot[:, -1] = system.prior_gradient
+        other = np.eye(constants.size + 1)
+        other[:-1, -1] = other[-1, :-1] = constants
+        if system.knots > 1:
+            knot, other = self._sweep(knot, other)
+        else:
+            knot = knot + system.blocks[0, :d]
+            other = other + system.blocks[0, d:, d:]
+        information = np.block([[knot[:, :-1]], [knot[:, d:-1].T, other[:-1, :-1]]])
+        np.einsum("ii->i", information)[:] += damping
+        root, fault = lapack.dpotrf(information, lower=1, clean=1)
         if fault or not np.isfinite(root).all():
             raise NotPositiveDefiniteError
-        self._final_root = np.tril(root)
-        self._final_gradient = information[:-1, -1]
+        self._final_root = root
+        self._final_gradient = np.concatenate([knot[:, -1], other[:-1, -1]])
 
-    def _sweep(self, information: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Eliminate the noise of every interval; return the last knot's information."""
-        system = self.system
-        d = system.knot_size
-        width = 2 * d + system.constants.size + 1
-        rest = slice(d, width)
-        # Columns of [x[k] by (w, x[k+1])]; the measurements' share is turned for all k at once.
+    def _sweep(
+        self, knot: NDArray[np.float64], other: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Eliminate the noise of every interval; turn the first knot's rows into the last one's."""
+        d = self.system.knot_size
         turn = np.concatenate([-self._b, self._a], axis=2)
-        blocks = system.blocks
-        if self.damping:
-            blocks = blocks.copy()
-            index = np.arange(d)
-            blocks[:, index, index] += self.damping
-        first = np.swapaxes(turn, 1, 2) @ blocks[:, :d]
-        total = np.zeros((blocks.shape[0], width, width))
-        total[:, rest, rest] = blocks[:, rest, rest]
-        total[:, : 2 * d, : 2 * d] += first[:, :, :d] @ turn
-        cross = first[:, :, d:]
-        total[:, : 2 * d, rest] += cross
-        total[:, rest, : 2 * d] += np.swapaxes(cross, 1, 2)
-        index = np.arange(d)
-        total[:, index, index] += 1.0
-        total[:, index, -1] += system.noise_residual
-        total[:, -1, index] += system.noise_residual
-        beyond = slice(2 * d, width)
-        potrf, trtrs = lapack.dpotrf, lapack.dtrtrs
-        for k in range(blocks.shape[0]):
-            now = total[k]
-            w = turn[k]
-            moved = w.T @ information[:d]
-            now[: 2 * d, : 2 * d] += moved[:, :d] @ w
-            carried = moved[:, d:]
-            now[: 2 * d, beyond] += carried
-            now[beyond, : 2 * d] += carried.T
-            now[beyond, beyond] += information[d:, d:]
-            root, fault = potrf(now[:d, :d], lower=1, clean=1)
+        rows = self._turned_rows(turn)
+        count, _, width = rows.shape
+        self._inverse_roots = np.empty((count, d, d))
+        rests = np.empty((count, d, width - d))
+        before = np.empty((d, width))
+        for k, (row, by) in enumerate(zip(rows, turn, strict=True)):
+            # The knot's information, with x[k] written through w and x[k+1].
+            np.matmul(knot[:, :d], by, out=before[:, : 2 * d])
+            before[:, 2 * d :] = knot[:, d:]
+            now = row + by.T @ before
+            root, fault = lapack.dpotrf(now[:d, :d], lower=1, clean=1)
             if fault:
                 raise NotPositiveDefiniteError
-            solved, _ = trtrs(root, now[:d, d:], lower=1)
-            self._roots[k] = root
-            self._rests[k] = solved
-            information = now[d:, d:] - solved.T @ solved
-        return information
+            inverse, _ = lapack.dtrtri(root, lower=1)
+            rest = np.matmul(inverse, now[:d, d:], out=rests[k])
+            self._inverse_roots[k] = inverse
+            knot = now[d:, d:] - rest[:, :d].T @ rest
+        beyond = rests[:, :, d:]
+        share = self.system.blocks[:, 2 * d :, 2 * d :] - np.swapaxes(beyond, 1, 2) @ beyond
+        # w = -gain (x[k+1], constants, 1), and x[k] = back (x[k+1], constants, 1).
+        self._gain = np.swapaxes(self._inverse_roots, 1, 2) @ rests
+        self._back = self._b @ self._gain
+        self._back[:, :, :d] += self._a
+        return knot, other + share.sum(axis=0)
+
+    def _turned_rows(self, turn: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what measurements and noise add to the rows of (w, x[k+1]), for all intervals."""
+        system = self.system
+        d = system.knot_size
+        blocks = system.blocks
+        index = np.arange(d)
+        if self.damping:
+            blocks = blocks[:, : 2 * d].copy()
+            blocks[:, index, index] += self.damping
+        first = np.swapaxes(turn, 1, 2) @ blocks[:, :d]
+        # Columns of x[k] become columns of (w, x[k+1]).
+        rows = np.concatenate([first[:, :, :d] @ turn, first[:, :, 2 * d :]], axis=2)
+        cross = first[:, :, d : 2 * d]
+        rows[:, :, d : 2 * d] += cross
+        rows[:, d:, : 2 * d] += np.swapaxes(cross, 1, 2)
+        rows[:, d:, d:] += blocks[:, d : 2 * d, d:]
+        rows[:, index, index] += 1.0
+        rows[:, index, -1] += system.noise_residual
+        return rows
 
     def solve(self) -> Step:
         """Return the increments that minimise the (damped) linear model."""
-        system = self.system
-        d = system.knot_size
-        count = system.knots - 1
+        d = self.system.knot_size
+        count = self.system.knots - 1
         last, _ = lapack.dpotrs(self._final_root, -self._final_gradient, lower=1)
+        following, constants = last[:d], last[d:]
         knots = np.empty((count + 1, d))
-        constants = last[d:]
-        knots[count] = last[:d]
         noise = np.empty((count, d))
-        # With the constants known, the rows' right-hand sides are the same for all intervals.
-        fixed = self._rests[:, :, d:-1] @ constants + self._rests[:, :, -1]
-        noise_fixed = _solve_transposed(self._roots, fixed)
-        gain = _solve_transposed(self._roots, self._rests[:, :, :d])
-        by_next = self._a + self._b @ gain
-        offset = (self._b @ noise_fixed[:, :, None])[:, :, 0]
-        following = knots[count]
-        for k in range(count - 1, -1, -1):
-            following = by_next[k] @ following + offset[k]
-            knots[k] = following
+        knots[count] = following
         if count:
-            noise = -(gain @ knots[1:, :, None])[:, :, 0] - noise_fixed
+            known = np.append(constants, 1.0)
+            offset = self._back[:, :, d:] @ known
+            for k in range(count - 1, -1, -1):
+                following = self._back[k, :, :d] @ following + offset[k]
+                knots[k] = following
+            moved = np.matmul(self._gain[:, :, :d], knots[1:, :, None])[:, :, 0]
+            noise = -moved - self._gain[:, :, d:] @ known
         return Step(knots, constants, self._decrease(knots, constants, noise))
 
     def _decrease(
@@ -248,47 +250,43 @@ class Elimination:
         return -0.5 * slope + 0.5 * self.damping * squares
 
     def marginals(self) -> Marginals:
-        """Return all marginal covariances by one backward pass over the factorisation."""
+        """Return all marginal covariances by one backward pass over the factorisation.
+
+        The pass carries the covariance V of a knot if the constants were known, and the derivative
+        G of its mean by the constants, so that only positive terms are added: the covariance is
+        V + G S G^T, with S that of the constants.
+        """
         d = self.system.knot_size
         count = self.system.knots - 1
-        size = self._final_root.shape[0]
-        inverse, _ = lapack.dtrtrs(self._final_root, np.eye(size), lower=1)
-        joint = inverse.T @ inverse
-        constants = joint[d:, d:].copy()
-        knots = np.empty((count + 1, d, d))
-        cross = np.empty((count + 1, d, size - d))
+        inverse, _ = lapack.dtrtri(self._final_root, lower=1)
+        by_knot, by_constants = inverse[:d, :d], inverse[d:, d:]
+        constants = by_constants.T @ by_constants
+        known = np.empty((count + 1, d, d))
+        slope = np.empty((count + 1, d, constants.shape[0]))
+        known[count] = by_knot.T @ by_knot
+        slope[count] = -by_knot.T @ self._final_root[d:, :d].T
+        if count:
+            spread = self._b @ np.swapaxes(self._inverse_roots, 1, 2)
+            scatter = spread @ np.swapaxes(spread, 1, 2)
+            for k in range(count - 1, -1, -1):
+                by_next = self._back[k, :, :d]
+                known[k] = by_next @ known[k + 1] @ by_next.T + scatter[k]
+                slope[k] = by_next @ slope[k + 1] + self._back[k, :, d:-1]
+        cross = slope @ constants
+        knots = known + cross @ np.swapaxes(slope, 1, 2)
+        knots = 0.5 * (knots + np.swapaxes(knots, 1, 2))
         neighbours = np.empty((count, d, d))
-        knots[count], cross[count] = joint[:d, :d], joint[:d, d:]
-        # x[k] = gain (x[k+1], constants) + spread (unit noise).
-        gain = self._b @ _solve_transposed(self._roots, self._rests[:, :, :-1])
-        gain[:, :, :d] += self._a
-        spread = self._b @ _solve_transposed(self._roots, np.eye(d)[None])
-        scatter = spread @ np.swapaxes(spread, 1, 2)
-        for k in range(count - 1, -1, -1):
-            moved = gain[k] @ joint
-            top = moved @ gain[k].T + scatter[k]
-            neighbours[k] = moved[:, :d]
-            knots[k] = 0.5 * (top + top.T)
-            cross[k] = moved[:, d:]
-            joint[:d, :d] = knots[k]
-            joint[:d, d:] = cross[k]
-            joint[d:, :d] = cross[k].T
+        if count:
+            by_next, by_known = self._back[:, :, :d], self._back[:, :, d:-1]
+            neighbours = by_next @ knots[1:] + by_known @ np.swapaxes(cross[1:], 1, 2)
         return Marginals(knots, neighbours, cross, constants)
 
     def half_log_determinant(self) -> float:
         """Return half the log determinant of the information of (x[0], w, constants)."""
         value = float(np.sum(np.log(np.diagonal(self._final_root))))
-        value += float(np.sum(np.log(np.diagonal(self._roots, axis1=1, axis2=2))))
+        if self.system.knots > 1:
+            inverse = np.diagonal(self._inverse_roots, axis1=1, axis2=2)
+            value -= float(np.sum(np.log(inverse)))
         # From the last knot's coordinates to the first one's.
         _, log_inverse = np.linalg.slogdet(self._a)
         return value - float(np.sum(log_inverse))
-
-
-def _solve_transposed(root: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return R^-T right for stacks of lower factors R, shapes (n, d, d) and (n, d[, m])."""
-    upper = np.swapaxes(root, 1, 2)
-    if right.ndim == 2:
-        return np.asarray(np.linalg.solve(upper, right[:, :, None])[:, :, 0])
-    if right.shape[0] != root.shape[0]:
-        right = np.broadcast_to(right, (root.shape[0], *right.shape[1:]))
-    return np.asarray(np.linalg.solve(upper, right))

@@ -99,8 +99,7 @@ class Problem:
             3 * motion.order, walk_scale.size, states.size, chained=knots_s.size > 1
         )
         self.scale = np.concatenate([path_scale, np.ones(walk_scale.size)])
-        intervals = max(knots_s.size - 1, 1)
-        self._sums = [BlockSum(self.layout, intervals, path_scale) for _ in self.families]
+        self._sums = [BlockSum(self.layout, path_scale) for _ in self.families]
 
     def with_weights(
         self, weights: Sequence[NDArray[np.float64] | None], loss: Loss | None = None

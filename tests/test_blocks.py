@@ -83,7 +83,7 @@ def test_blocks_are_sums_of_products(
     total = np.zeros((intervals, layout.width, layout.width))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "_BUFFER_BYTES", buffer_bytes)
-        sums = BlockSum(layout, intervals, scale)
+        sums = BlockSum(layout, scale)
         sums.add(total, found, root)
         expected = expected_blocks(layout, intervals, scale, found, root)
         np.testing.assert_allclose(total, expected, rtol=1e-11, atol=1e-11)

@@ -2,7 +2,8 @@
 
 Given every advantage: scaled states, plain float arithmetic in the factor, all that does not change
 computed beforehand, native linear factors for the kinematics, the ordering that suits the chain,
-and hardly any damping (measured here: the default first damping takes more iterations).
+and the marginals that do not copy all values at every call. GTSAM's Gauss-Newton, QR, sequential
+elimination and other first dampings take as long within a tenth.
 """
 
 from __future__ import annotations
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     Jacobians = list[NDArray[np.float64]] | None
 
 _KNOT, _SENSOR = "x", "s"
-_FIRST_DAMPING = 1e-9
 
 
 def _derivatives(
@@ -194,7 +194,6 @@ class _PerBearingRun(Run):
         params = gtsam.LevenbergMarquardtParams()
         params.setRelativeErrorTol(TOLERANCE)
         params.setAbsoluteErrorTol(0.0)
-        params.setlambdaInitial(_FIRST_DAMPING)
         params.setOrdering(self._ordering)
         optimizer = gtsam.LevenbergMarquardtOptimizer(self._graph, self._values, params)
         self._values = optimizer.optimize()
