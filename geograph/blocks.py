@@ -167,7 +167,7 @@ class BlockSum:
         layout = self.layout
         by_knots = found.by_knots[part.measurements]
         dense = self._buffer[: by_knots.shape[0]]
-        dense[:] = 0.0
+        dense[:, :, layout.path :] = 0.0
         np.multiply(by_knots[:, :, 0], self.path_scale, out=dense[:, :, : layout.path])
         if layout.chained:
             following = slice(layout.knot, layout.knot + layout.path)

@@ -129,6 +129,8 @@ class Motion:
         self.frame: Literal["ecef", "local"] = frame
         self.static = name == "static"
         self.ballistic = name in ("ballistic", "orbital")
+        # Whether transitions and their noise are the same wherever the object is.
+        self.constant = not self.ballistic and density.along is None
         if density.along is not None and self.order == 1:
             raise InputError("noise along the velocity needs a motion that has a velocity")
 

@@ -100,6 +100,7 @@ class Problem:
         )
         self.scale = np.concatenate([path_scale, np.ones(walk_scale.size)])
         self._sums = [BlockSum(self.layout, path_scale) for _ in self.families]
+        self._constant_transitions: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     def with_weights(
         self, weights: Sequence[NDArray[np.float64] | None], loss: Loss | None = None
@@ -173,28 +174,37 @@ class Problem:
 
     def prior_cost(self, values: Values) -> float:
         """Return the share of transitions and priors in the cost."""
+        return self._start_cost(values) + 0.5 * float(np.sum(self._noise_residual(values) ** 2))
+
+    def _start_cost(self, values: Values) -> float:
+        """Return the cost of the priors of the first knot and of the constant states."""
         start = (values.path[0] - self.prior.mean) / self.prior.sigma
-        total = 0.5 * float(start @ start + values.constants @ values.constants)
+        total = float(start @ start + values.constants @ values.constants)
         if self.knots_s.size > 1:
-            total += self.motion.cost(values.path, self.steps_s)
-            if self.walk_scale.size:
-                walk = self._walk_residual(values)
-                total += 0.5 * float(np.sum(walk**2))
-                total += 0.5 * float(np.sum((values.walks[0] / _WALK_START_SIGMA) ** 2))
-        return total
+            total += float(np.sum((values.walks[0] / _WALK_START_SIGMA) ** 2))
+        return 0.5 * total
 
     def walk_roots(self) -> NDArray[np.float64]:
         """Return what a walk adds over each interval, shape (K - 1, w), scaled."""
         return np.asarray(self.states.diffusion * np.sqrt(self.steps_s)[:, None] / self.walk_scale)
 
-    def _walk_residual(self, values: Values) -> NDArray[np.float64]:
-        return np.diff(values.walks, axis=0) / self.walk_roots()
+    def _noise_residual(
+        self, values: Values, path_residual: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return whitened residuals of all transitions of path and walks, shape (K - 1, d)."""
+        if self.knots_s.size == 1:
+            return np.zeros((0, self.layout.knot))
+        if path_residual is None:
+            path_residual = self.motion.transitions(values.path, self.steps_s).residual
+        walk_residual = np.diff(values.walks, axis=0) / self.walk_roots()
+        return np.concatenate([path_residual, walk_residual], axis=1)
 
     def linearise(self, values: Values) -> LinearSystem:
         """Return the linear system of scaled increments at one point."""
         width = self.layout.width
         blocks = np.zeros((max(self.knots_s.size - 1, 1), width, width))
-        cost = self.prior_cost(values)
+        inverse, noise_root, residual = self._transitions(values)
+        cost = self._start_cost(values) + 0.5 * float(np.sum(residual**2))
         for found, weight, total in zip(
             self.evaluate(values, jacobian=True), self.weights, self._sums, strict=True
         ):
@@ -207,9 +217,8 @@ class Problem:
         ratio = self.path_scale / self.prior.sigma
         information = np.concatenate([ratio**2, np.full(walks, _WALK_START_SIGMA**-2)])
         gradient = np.concatenate([ratio * start, values.walks[0] / _WALK_START_SIGMA**2])
-        inverse, root, residual = self._transitions(values)
         return LinearSystem(
-            blocks, inverse, root, residual, information, gradient, values.constants, cost
+            blocks, inverse, noise_root, residual, information, gradient, values.constants, cost
         )
 
     def _transitions(
@@ -217,21 +226,22 @@ class Problem:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return inverse transitions, noise roots and residuals of whole knots, scaled."""
         count, d, m = self.knots_s.size - 1, self.layout.knot, self.layout.path
+        if not count:
+            return np.zeros((0, d, d)), np.zeros((0, d, d)), np.zeros((0, d))
+        found = self.motion.transitions(values.path, self.steps_s)
+        residual = self._noise_residual(values, found.residual)
+        if self._constant_transitions is not None:
+            return *self._constant_transitions, residual
         inverse = np.zeros((count, d, d))
         root = np.zeros((count, d, d))
-        residual = np.zeros((count, d))
-        if not count:
-            return inverse, root, residual
-        found = self.motion.transitions(values.path, self.steps_s)
         scale = self.path_scale
         inverse[:, :m, :m] = np.linalg.inv(found.transition * scale / scale[:, None])
         root[:, :m, :m] = found.noise_root / scale[:, None]
-        residual[:, :m] = found.residual
         walk = np.arange(m, d)
-        if walk.size:
-            inverse[:, walk, walk] = 1.0
-            root[:, walk, walk] = self.walk_roots()
-            residual[:, m:] = self._walk_residual(values)
+        inverse[:, walk, walk] = 1.0
+        root[:, walk, walk] = self.walk_roots()
+        if self.motion.constant:
+            self._constant_transitions = inverse, root
         return inverse, root, residual
 
     def moved(self, values: Values, step: Step) -> Values:

@@ -238,8 +238,12 @@ class SensorErrorTerms:
             Shape (n,): place among the knots, as index and fraction of the interval.
         """
         entries = self.constants
-        value = np.zeros((self.count, CHANNELS))
-        np.add.at(value, (entries.row, entries.channel), entries.basis * constants[entries.column])
+        summed = np.bincount(
+            entries.row * CHANNELS + entries.channel,
+            entries.basis * constants[entries.column],
+            minlength=self.count * CHANNELS,
+        )
+        value = np.asarray(summed, dtype=np.float64).reshape(self.count, CHANNELS)
         if walks is not None and interval is not None and fraction is not None:
             entries = self.walks
             before = walks[interval[entries.row], entries.column]
