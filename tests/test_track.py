@@ -131,10 +131,10 @@ TIMES = np.array([1.1, 6.0, 14.7, 16.04, 30.0, 33.0, 40.0])
 
 # The Gaussian process is exactly consistent with more knots where the noise does not depend on the
 # state and gravity does not bend it. Otherwise a knot changes the prior. Noise along the velocity
-# is drawn along that of the knot before, and turns with it: here 0.02 sigma in position, 0.05 in the
-# acceleration. Noise in an orbit is spread as if there were no
-# gravity gradient, wrong by the order of (n h)^2 / 6 = 3e-6 for 4 s at n = 1.1 mrad/s.
-TOLERANCE = {"order 3, along": (2e-2, 5e-2), "order 2, along": (2e-2, 5e-2), "orbit": (5e-6, 5e-6)}
+# is drawn along that of the knot before, and turns with it: here up to 0.03 sigma in position and
+# 0.06 in the acceleration. Noise in an orbit is spread as if there were no gravity gradient, wrong
+# by the order of (n h)^2 / 6 = 3e-6 for 4 s at n = 1.1 mrad/s.
+TOLERANCE = {"order 3, along": (4e-2, 8e-2), "order 2, along": (4e-2, 8e-2), "orbit": (5e-6, 5e-6)}
 
 
 @pytest.mark.parametrize("name", MOTIONS)
