@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+# Sine of the distance from the zenith within which cosines of elevations are rounded off.
+_ZENITH_ROUNDING = 0.02
+
+
 @dataclass(frozen=True, eq=False)
 class BearingResidual:
     """Residuals of n bearings in radians, with derivatives where these were asked for.
@@ -110,6 +114,7 @@ def tangent_residual(
     azimuth_rad: NDArray[np.float64],
     elevation_rad: NDArray[np.float64],
     *,
+    noise_elevation_rad: NDArray[np.float64] | None = None,
     jacobian: bool = False,
 ) -> BearingResidual:
     """Return the predicted direction in the tangent plane of the measured one.
@@ -117,12 +122,21 @@ def tangent_residual(
     With the unit vectors u (measured), e1 (growing azimuth) and e2 (growing elevation), and the
     predicted direction d: r = theta / sin(theta) (e1.d, e2.d), theta the angle between u and d.
 
+    The noise is isotropic where the sensor measured, before its errors are taken off: there, a
+    change of azimuth is cos(measured elevation) long. The first component is therefore multiplied
+    by cos(measured) / cos(corrected elevation); without that, all
+    azimuth residuals would shrink when object and elevation error move together so that the object
+    nears the zenith, and the estimate would be drawn there. Both cosines are
+    rounded off within about a degree of the zenith, which keeps the ratio regular.
+
     Parameters
     ----------
     line_of_sight_m
         Shape (n, 3), in the sensor's axes, metres.
     azimuth_rad, elevation_rad
         Shape (n,): measured coordinates less their errors.
+    noise_elevation_rad
+        Shape (n,): elevations as measured; None: as corrected.
     jacobian
         Whether derivatives are returned too.
     """
@@ -138,7 +152,13 @@ def tangent_residual(
     sine2 = s1 * s1 + s2 * s2
     stretch, curvature = _log_map(sine2, c)
     value = np.stack([stretch * s1, stretch * s2], axis=1)
+    if noise_elevation_rad is None:
+        ratio = np.ones_like(c)
+    else:
+        level2 = cos_e**2 + _ZENITH_ROUNDING**2
+        ratio = np.sqrt((np.cos(noise_elevation_rad) ** 2 + _ZENITH_ROUNDING**2) / level2)
     if not jacobian:
+        value[:, 0] *= ratio
         return BearingResidual(value)
 
     # dr = stretch ds + curvature s (c s.ds - sin^2 dc), for ds and dc of each argument in turn.
@@ -167,6 +187,11 @@ def tangent_residual(
     # An error is subtracted from the measurement.
     by_error[:, 0, 0], by_error[:, 1, 0] = -azimuth[0], -azimuth[1]
     by_error[:, 0, 1], by_error[:, 1, 1] = -elevation[0], -elevation[1]
+    if noise_elevation_rad is not None:
+        by_error[:, 0, 1] -= value[:, 0] * cos_e * sin_e / level2
+        by_sight[:, 0] *= ratio[:, None]
+        by_error[:, 0] *= ratio[:, None]
+        value[:, 0] *= ratio
     return BearingResidual(value, by_sight, by_error)
 
 

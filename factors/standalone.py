@@ -109,7 +109,12 @@ def bearing_factor(
         error = vectors[-1] if error_key is not None else np.zeros(2)
         line = (rotation @ (target - position))[None]
         angles = (measured - error)[:, None]
-        found = residual(line, angles[0], angles[1], jacobian=jacobian)
+        if residual is tangent_residual and error_key is not None:
+            found = tangent_residual(
+                line, angles[0], angles[1], noise_elevation_rad=measured[1:], jacobian=jacobian
+            )
+        else:
+            found = residual(line, angles[0], angles[1], jacobian=jacobian)
         value = (found.value[0] / sigmas)[:rows]
         if not jacobian:
             return value, []

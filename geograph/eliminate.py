@@ -14,7 +14,7 @@ state).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -290,3 +290,38 @@ class Elimination:
         # From the last knot's coordinates to the first one's.
         _, log_inverse = np.linalg.slogdet(self._a)
         return value - float(np.sum(log_inverse))
+
+
+def response(system: LinearSystem, knot: int, direction: NDArray[np.float64]) -> Step:
+    """Return the covariance of all unknowns with one function of one knot.
+
+    Parameters
+    ----------
+    system
+        The linear system.
+    knot
+        Index of the knot.
+    direction
+        Shape (d,): the function's gradient by the knot's scaled unknowns.
+
+    Raises
+    ------
+    NotPositiveDefiniteError
+        If the unknowns are not determined to working precision.
+    """
+    d = system.knot_size
+    blocks = system.blocks.copy()
+    blocks[:, :, -1] = 0.0
+    blocks[:, -1, :] = 0.0
+    block = min(knot, blocks.shape[0] - 1)
+    rows = slice((knot - block) * d, (knot - block + 1) * d)
+    blocks[block, rows, -1] = -direction
+    blocks[block, -1, rows] = -direction
+    quiet = replace(
+        system,
+        blocks=blocks,
+        noise_residual=np.zeros_like(system.noise_residual),
+        prior_gradient=np.zeros_like(system.prior_gradient),
+        constants=np.zeros_like(system.constants),
+    )
+    return Elimination(quiet).solve()

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.eliminate import response
 from geograph.geodesy import enu_axes
 
 if TYPE_CHECKING:
@@ -19,6 +20,13 @@ if TYPE_CHECKING:
 WEAK_SHARE = 0.05
 UNOBSERVABLE_SHARE = 0.3
 _TRADE_OFF = 0.5
+
+# Rise of the cost at one sigma along the weakest direction. A Gaussian posterior has one half; at
+# the first value the bend of a curved one adds half as much again, at the second it exceeds the
+# sigma across, and the ellipsoid no longer holds the stated probability.
+CURVED_RISE = 0.75
+NOT_GAUSSIAN_RISE = 1.0
+_BEND_SHARE = 0.02
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,62 @@ def weak_directions(track: Track, distance_m: NDArray[np.float64]) -> WeakDirect
         weak = sigma > WEAK_SHARE * distance
         share = f"for {100.0 * weak.mean():.0f} % of the path, at worst"
         sentences.append(_sentence(track, worst, share))
+    bent = _bent_knot(track, distance)
+    if not unobservable and bent is not None:
+        rise = cost_rise(track, bent)
+        if rise > CURVED_RISE:
+            text = _sentence(track, bent, "there")
+            sentences.append(
+                f"{text}; the posterior is curved: at one sigma the cost rises by {rise:.3g} "
+                "instead of 0.5, so that the ellipsoids are too small"
+            )
+            unobservable = rise > NOT_GAUSSIAN_RISE
     return WeakDirections(sentences, unobservable)
+
+
+def _bent_knot(track: Track, distance_m: float) -> int | None:
+    """Return the knot whose ellipsoid is long enough to feel that bearings see along curves.
+
+    A move of s along an ellipsoid's longest axis, at a distance r, is off by up to s^2 / (2 r)
+    across it.
+    """
+    values = np.maximum(np.linalg.eigvalsh(track.position_covariance_m2), 0.0)
+    bend = values[:, -1] / (2.0 * distance_m)
+    share = bend / np.sqrt(np.maximum(values[:, 0], 1e-300))
+    middle = int(np.argsort(share)[share.size // 2])
+    return middle if share[middle] > _BEND_SHARE else None
+
+
+def cost_rise(track: Track, knot: int) -> float:
+    """Return the rise of the cost at one sigma along a knot's weakest direction, at most.
+
+    All other unknowns move with it as the covariance says. For a Gaussian posterior it is one half
+    on both sides (the likelihood ratio against the Wald statistic; D. M. Bates, D. G. Watts,
+    *Nonlinear Regression Analysis and Its Applications*, 1988, chapter 6).
+
+    Parameters
+    ----------
+    track
+        With a problem that can be factorised at its estimate.
+    knot
+        Index of the knot.
+    """
+    problem, values = track.problem, track.values
+    _, vectors = np.linalg.eigh(track.position_covariance_m2[knot])
+    direction = np.zeros(problem.layout.knot)
+    direction[:3] = vectors[:, -1] * problem.path_scale[:3]
+    system = problem.linearise(values)
+    move = response(system, knot, direction)
+    sigma = float(np.sqrt(direction @ move.knots[knot]))
+    costs = [
+        problem.cost(
+            problem.moved(values, replace(
+                move, knots=side * move.knots / sigma, constants=side * move.constants / sigma
+            ))
+        )
+        for side in (-1.0, 1.0)
+    ]  # fmt: skip
+    return max(costs) - system.cost
 
 
 def _singular(track: Track) -> str:

@@ -51,8 +51,8 @@ class SmoothSettings:
     spacing_s
         Time between knots; None: chosen from the noise (docs/models.md).
     loss
-        Loss of each measurement. ``"auto"`` is plain least squares unless gross outliers show,
-        which are then rejected by graduated non-convexity (``"gnc"``).
+        Loss of each measurement. ``"auto"``, or ``"gnc"``, is plain least squares unless gross
+        outliers show, which are then rejected by graduated non-convexity.
     max_iterations
         Limit of Levenberg-Marquardt iterations in one solve.
 

@@ -61,7 +61,7 @@ def make_track(smoother: Smoother, *, seconds: float) -> Track:
     )
     weak = weak_directions(track, smoother.distances())
     status = solution.status
-    if weak.unobservable and status in {Status.CONVERGED, Status.ITERATION_LIMIT}:
+    if weak.unobservable:
         status = Status.UNOBSERVABLE
     summary = _summary(smoother, track, found, weak.sentences, status)
     summary["seconds"] = seconds

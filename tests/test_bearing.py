@@ -181,3 +181,31 @@ def test_both_residuals_agree_for_small_differences():
 def test_prediction_by_hand(line, azimuth_deg, elevation_deg):
     value, _ = predict_bearing(np.array([line]))
     np.testing.assert_allclose(np.degrees(value[0]), [azimuth_deg, elevation_deg], atol=1e-13)
+
+
+@pytest.mark.parametrize("elevation_deg", [-60.0, 20.0, 75.0])
+def test_noise_alone_does_not_pull_at_an_elevation_error(elevation_deg: float) -> None:
+    rng = np.random.default_rng(11)
+    count, sigma = 200_000, 1e-3
+    elevation = np.radians(elevation_deg)
+    sight = np.broadcast_to([np.cos(elevation), 0.0, np.sin(elevation)], (count, 3))
+    azimuth = sigma * rng.normal(size=count) / np.cos(elevation)
+    measured = elevation + sigma * rng.normal(size=count)
+    found = tangent_residual(sight, azimuth, measured, noise_elevation_rad=measured, jacobian=True)
+    assert found.by_error is not None
+    # The object sinks as the sensor's error rises, so that the elevation still fits: the azimuths'
+    # share of the cost's slope. Without the ratio of the cosines its mean is tan(elevation); the
+    # rounding at the zenith leaves z^2 / cos^2 of that.
+    sinking = np.array([np.sin(elevation), 0.0, -np.cos(elevation)])
+    assert found.by_line_of_sight is not None
+    change = found.by_error[:, 0, 1] + found.by_line_of_sight[:, 0] @ sinking
+    slope = found.value[:, 0] * change / sigma**2
+    pull = np.tan(elevation)
+    allowed = (0.01 + 0.02**2 / np.cos(elevation) ** 2) * abs(pull)
+    assert abs(slope.mean()) < allowed + 4.0 * slope.std() / np.sqrt(count)
+    plain = tangent_residual(sight, azimuth, measured, jacobian=True)
+    assert plain.by_error is not None
+    assert plain.by_line_of_sight is not None
+    change = plain.by_error[:, 0, 1] + plain.by_line_of_sight[:, 0] @ sinking
+    before = plain.value[:, 0] * change / sigma**2
+    assert before.mean() == pytest.approx(pull, rel=0.02)

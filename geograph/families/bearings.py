@@ -78,6 +78,10 @@ class BearingFamily(Family):
         # An azimuth alone has no tangent plane: its on-sky sigma is that of the coordinate.
         self._tangent = bearings.isotropic & ~self.azimuth_only
         self._uniform = bool(self._tangent.all())
+        # Only an elevation error moves the measured elevation off the corrected one.
+        touched = (states.bias_column, states.drift_column, states.walk_column)
+        errs = any((column[:, ELEVATION] >= 0).any() for column in touched)
+        self._noise_elevation = np.nan_to_num(bearings.elevation_rad) if errs else None
         channels = {state.channel for state in states.constants}
         self._clocked = CLOCK in channels | {walk.channel for walk in states.walks}
         self._light_time = np.zeros(len(bearings))
@@ -188,9 +192,21 @@ class BearingFamily(Family):
         azimuth = self.bearings.azimuth_rad - errors[:, AZIMUTH]
         elevation = self.bearings.elevation_rad - errors[:, ELEVATION]
         if self._uniform:
-            return tangent_residual(sight_axes, azimuth, elevation, jacobian=jacobian)
+            return tangent_residual(
+                sight_axes,
+                azimuth,
+                elevation,
+                noise_elevation_rad=self._noise_elevation,
+                jacobian=jacobian,
+            )
         level = np.where(self.azimuth_only, 0.0, elevation)
-        result = tangent_residual(sight_axes, azimuth, level, jacobian=jacobian)
+        result = tangent_residual(
+            sight_axes,
+            azimuth,
+            level,
+            noise_elevation_rad=self._noise_elevation,
+            jacobian=jacobian,
+        )
         other = ~self._tangent
         plain = coordinate_residual(
             sight_axes[other], azimuth[other], elevation[other], jacobian=jacobian
