@@ -235,7 +235,7 @@ class Problem:
         inverse = np.zeros((count, d, d))
         root = np.zeros((count, d, d))
         scale = self.path_scale
-        inverse[:, :m, :m] = np.linalg.inv(found.transition * scale / scale[:, None])
+        inverse[:, :m, :m] = _inverse(found.transition * scale / scale[:, None])
         root[:, :m, :m] = found.noise_root / scale[:, None]
         walk = np.arange(m, d)
         inverse[:, walk, walk] = 1.0
@@ -258,3 +258,14 @@ class Problem:
         """Bring what families hold fixed during a solve up to date with an estimate."""
         for family in self.families:
             family.refresh(self.path, values)
+
+
+def _inverse(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return inverses of a stack of matrices; not numbers where one is singular.
+
+    The solver takes such a system for one that is not positive definite, and damps its step.
+    """
+    try:
+        return np.asarray(np.linalg.inv(matrices))
+    except np.linalg.LinAlgError:
+        return np.full_like(matrices, np.nan)
