@@ -6,8 +6,10 @@ has a bias and a drift in both. Unknown are position, velocity and acceleration 
 four errors of each sensor. The cost is half the sum of squares of
 
 - each bearing's residual over its sigma: the logarithmic map of the predicted direction in the
-  tangent plane of the measured one, freed from the sensor's errors; between knots, the position is
-  the mean of the prior given both neighbours;
+  tangent plane of the measured one, freed from the sensor's errors, its first component times the
+  ratio of the cosines of the measured and the freed elevation (rounded off at the zenith), because
+  the noise is isotropic where the sensor measured; between knots, the position is the mean of the
+  prior given both neighbours;
 - the whitened noise between knots, the first knot's deviation from the first guess over wide
   sigmas, and the sensors' errors over their prior sigmas.
 """
@@ -27,6 +29,9 @@ if TYPE_CHECKING:
 
 ERRORS = 4
 """Errors of one sensor: azimuth bias, elevation bias (rad), their drifts (rad/s)."""
+
+ZENITH_ROUNDING = 0.02
+"""Sine of the distance from the zenith within which cosines of elevations are rounded off."""
 
 
 @dataclass(frozen=True)
@@ -163,9 +168,11 @@ def cost(data: Pass, path: NDArray[np.float64], errors: NDArray[np.float64]) -> 
     sa, ca, se, ce = np.sin(azimuth), np.cos(azimuth), np.sin(elevation), np.cos(elevation)
     axes = np.array([[-sa, ca, zero], [-se * ca, -se * sa, ce], [ce * ca, ce * sa, se]])
     across, up, along = np.einsum("rcn,nc->rn", axes, line)
-    theta = np.arctan2(np.hypot(across, up), along)
-    residual = theta / data.sigma_rad
-    total = float(residual @ residual)
+    sine = np.hypot(across, up)
+    stretch = np.arctan2(sine, along) / sine / data.sigma_rad
+    level2 = np.cos(data.elevation_rad) ** 2 + ZENITH_ROUNDING**2
+    ratio2 = level2 / (ce**2 + ZENITH_ROUNDING**2)
+    total = float(np.sum(stretch**2 * (ratio2 * across**2 + up**2)))
     steps = np.diff(data.knots_s)
     gap = blocks[1:] - transition(steps) @ blocks[:-1]
     total += float(np.sum((np.linalg.solve(unit_noise_root(steps), gap) / data.noise) ** 2))

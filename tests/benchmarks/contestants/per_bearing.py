@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
-from model import ERRORS, Pass, position_weights, transition, unit_noise_root
+from model import ERRORS, ZENITH_ROUNDING, Pass, position_weights, transition, unit_noise_root
 
 from contestants.base import TOLERANCE, Contestant, Estimate, Run, Stages
 from contestants.timing import seconds
@@ -92,6 +92,7 @@ def _bearing_factor(
     bias_az, bias_el, drift_az, drift_el = data.error_sigma.tolist()
     drift_az, drift_el = drift_az * time, drift_el * time
     white = 1.0 / float(data.sigma_rad)
+    measured2 = cos(elevation) ** 2 + ZENITH_ROUNDING**2
     key_first, key_second, key_sensor = keys
 
     def error(
@@ -121,10 +122,17 @@ def _bearing_factor(
         else:
             stretch = 1.0 + sine2 / 6.0
             bend = 1.0 / 3.0
+        level2 = ce * ce + ZENITH_ROUNDING**2
+        ratio = sqrt(measured2 / level2)
+        scaled = stretch * white
         if jacobians is not None:
             by_position, az1, az2, el1, el2 = _derivatives(
                 (x, y, z, inverse), (sa, ca, se, ce), (s1, s2, c), (stretch, bend, white)
             )
+            # The first row is multiplied by the ratio, which feels the elevation's error.
+            by_position[0] *= ratio
+            el1 = (el1 - scaled * s1 * ce * se / level2) * ratio
+            az1 *= ratio
             jacobians[0] = by_position @ first_f
             jacobians[1] = by_position @ second_f
             jacobians[2] = np.array(
@@ -133,8 +141,7 @@ def _bearing_factor(
                     (az2 * bias_az, el2 * bias_el, az2 * drift_az, el2 * drift_el),
                 )
             )
-        scaled = stretch * white
-        return np.array((scaled * s1, scaled * s2))
+        return np.array((scaled * s1 * ratio, scaled * s2))
 
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(2), keys, error)
 
