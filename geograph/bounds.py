@@ -11,8 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from geograph.eliminate import Elimination
-
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -56,7 +54,7 @@ def cramer_rao_bound(problem: Problem, values: Values) -> Bound:
     NotPositiveDefiniteError
         If the information is singular.
     """
-    marginals = Elimination(problem.linearise(values)).marginals()
+    marginals = problem.linearise(values).factorise().marginals()
     size = problem.layout.path
     scale, sigma = problem.path_scale, problem.states.sigma
     return Bound(

@@ -14,6 +14,7 @@ state).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -51,6 +52,8 @@ class LinearSystem:
         Shape (s,): constant states at the linearisation point (their prior is standard normal).
     cost
         Cost at the linearisation point.
+    by
+        What factorises it; None: :class:`Elimination`.
     """
 
     blocks: NDArray[np.float64]
@@ -61,6 +64,22 @@ class LinearSystem:
     prior_gradient: NDArray[np.float64]
     constants: NDArray[np.float64]
     cost: float
+    by: type[Factorisation] | None = None
+
+    def factorise(self, damping: float = 0.0) -> Factorisation:
+        """Factorise the system.
+
+        Parameters
+        ----------
+        damping
+            Added to the information of every scaled unknown (Levenberg-Marquardt).
+
+        Raises
+        ------
+        NotPositiveDefiniteError
+            If the unknowns are not determined to working precision.
+        """
+        return (self.by or Elimination)(self, damping)
 
     @property
     def knot_size(self) -> int:
@@ -114,7 +133,108 @@ class Marginals:
     constants: NDArray[np.float64]
 
 
-class Elimination:
+class Factorisation(ABC):
+    """What a factorisation of the chain gives: steps, covariances, determinant.
+
+    Whoever factorises fills in, for x[k] written through what follows it and unit noise v,
+
+        x[k] = back (x[k+1], constants, 1) + spread v,
+
+    and the factor of the information of the last knot and the constants.
+    """
+
+    system: LinearSystem
+    damping: float
+    _back: NDArray[np.float64]
+    _spread: NDArray[np.float64]
+    _final_root: NDArray[np.float64]
+    _final_gradient: NDArray[np.float64]
+
+    @abstractmethod
+    def __init__(self, system: LinearSystem, damping: float = 0.0) -> None: ...
+
+    @abstractmethod
+    def _noise(
+        self, knots: NDArray[np.float64], constants: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the increments of the noise w that belong to those of the unknowns."""
+
+    def solve(self) -> Step:
+        """Return the increments that minimise the (damped) linear model."""
+        d = self.system.knot_size
+        count = self.system.knots - 1
+        last, _ = lapack.dpotrs(self._final_root, -self._final_gradient, lower=1)
+        following, constants = last[:d], last[d:]
+        knots = np.empty((count + 1, d))
+        noise = np.empty((count, d))
+        knots[count] = following
+        if count:
+            known = np.append(constants, 1.0)
+            offset = self._back[:, :, d:] @ known
+            for k in range(count - 1, -1, -1):
+                following = self._back[k, :, :d] @ following + offset[k]
+                knots[k] = following
+            noise = self._noise(knots, constants)
+        return Step(knots, constants, self._decrease(knots, constants, noise))
+
+    def _decrease(
+        self,
+        knots: NDArray[np.float64],
+        constants: NDArray[np.float64],
+        noise: NDArray[np.float64],
+    ) -> float:
+        """Return the decrease predicted by the model: half of -gradient.step, and the damping."""
+        system = self.system
+        slope = float(system.prior_gradient @ knots[0] + system.constants @ constants)
+        gradient = system.blocks[:, :-1, -1]
+        d = system.knot_size
+        if system.knots > 1:
+            slope += float(np.sum(gradient[:, :d] * knots[:-1]))
+            slope += float(np.sum(gradient[:, d : 2 * d] * knots[1:]))
+            slope += float(np.sum(gradient[:, 2 * d :] @ constants))
+            slope += float(np.sum(system.noise_residual * noise))
+        else:
+            slope += float(gradient[0] @ np.concatenate([knots[0], constants]))
+        squares = float(np.sum(knots**2) + np.sum(constants**2))
+        return -0.5 * slope + 0.5 * self.damping * squares
+
+    def marginals(self) -> Marginals:
+        """Return all marginal covariances by one backward pass over the factorisation.
+
+        The pass carries the covariance V of a knot if the constants were known, and the derivative
+        G of its mean by the constants, so that only positive terms are added: the covariance is
+        V + G S G^T, with S that of the constants.
+        """
+        d = self.system.knot_size
+        count = self.system.knots - 1
+        inverse, _ = lapack.dtrtri(self._final_root, lower=1)
+        by_knot, by_constants = inverse[:d, :d], inverse[d:, d:]
+        constants = by_constants.T @ by_constants
+        known = np.empty((count + 1, d, d))
+        slope = np.empty((count + 1, d, constants.shape[0]))
+        known[count] = by_knot.T @ by_knot
+        slope[count] = -by_knot.T @ self._final_root[d:, :d].T
+        if count:
+            scatter = self._spread @ np.swapaxes(self._spread, 1, 2)
+            for k in range(count - 1, -1, -1):
+                by_next = self._back[k, :, :d]
+                known[k] = by_next @ known[k + 1] @ by_next.T + scatter[k]
+                slope[k] = by_next @ slope[k + 1] + self._back[k, :, d:-1]
+        cross = slope @ constants
+        knots = known + cross @ np.swapaxes(slope, 1, 2)
+        knots = 0.5 * (knots + np.swapaxes(knots, 1, 2))
+        neighbours = np.empty((count, d, d))
+        if count:
+            by_next, by_known = self._back[:, :, :d], self._back[:, :, d:-1]
+            neighbours = by_next @ knots[1:] + by_known @ np.swapaxes(cross[1:], 1, 2)
+        return Marginals(knots, neighbours, cross, constants)
+
+    @abstractmethod
+    def half_log_determinant(self) -> float:
+        """Return half the log determinant of the information of (x[0], w, constants)."""
+
+
+class Elimination(Factorisation):
     """The factorised linear system.
 
     Parameters
@@ -185,6 +305,7 @@ class Elimination:
         share = self.system.blocks[:, 2 * d :, 2 * d :] - np.swapaxes(beyond, 1, 2) @ beyond
         # w = -gain (x[k+1], constants, 1), and x[k] = back (x[k+1], constants, 1).
         self._gain = np.swapaxes(self._inverse_roots, 1, 2) @ rests
+        self._spread = self._b @ np.swapaxes(self._inverse_roots, 1, 2)
         self._back = self._b @ self._gain
         self._back[:, :, :d] += self._a
         return knot, other + share.sum(axis=0)
@@ -209,77 +330,12 @@ class Elimination:
         rows[:, index, -1] += system.noise_residual
         return rows
 
-    def solve(self) -> Step:
-        """Return the increments that minimise the (damped) linear model."""
+    def _noise(
+        self, knots: NDArray[np.float64], constants: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         d = self.system.knot_size
-        count = self.system.knots - 1
-        last, _ = lapack.dpotrs(self._final_root, -self._final_gradient, lower=1)
-        following, constants = last[:d], last[d:]
-        knots = np.empty((count + 1, d))
-        noise = np.empty((count, d))
-        knots[count] = following
-        if count:
-            known = np.append(constants, 1.0)
-            offset = self._back[:, :, d:] @ known
-            for k in range(count - 1, -1, -1):
-                following = self._back[k, :, :d] @ following + offset[k]
-                knots[k] = following
-            moved = np.matmul(self._gain[:, :, :d], knots[1:, :, None])[:, :, 0]
-            noise = -moved - self._gain[:, :, d:] @ known
-        return Step(knots, constants, self._decrease(knots, constants, noise))
-
-    def _decrease(
-        self,
-        knots: NDArray[np.float64],
-        constants: NDArray[np.float64],
-        noise: NDArray[np.float64],
-    ) -> float:
-        """Return the decrease predicted by the model: half of -gradient.step, and the damping."""
-        system = self.system
-        slope = float(system.prior_gradient @ knots[0] + system.constants @ constants)
-        gradient = system.blocks[:, :-1, -1]
-        d = system.knot_size
-        if system.knots > 1:
-            slope += float(np.sum(gradient[:, :d] * knots[:-1]))
-            slope += float(np.sum(gradient[:, d : 2 * d] * knots[1:]))
-            slope += float(np.sum(gradient[:, 2 * d :] @ constants))
-            slope += float(np.sum(system.noise_residual * noise))
-        else:
-            slope += float(gradient[0] @ np.concatenate([knots[0], constants]))
-        squares = float(np.sum(knots**2) + np.sum(constants**2))
-        return -0.5 * slope + 0.5 * self.damping * squares
-
-    def marginals(self) -> Marginals:
-        """Return all marginal covariances by one backward pass over the factorisation.
-
-        The pass carries the covariance V of a knot if the constants were known, and the derivative
-        G of its mean by the constants, so that only positive terms are added: the covariance is
-        V + G S G^T, with S that of the constants.
-        """
-        d = self.system.knot_size
-        count = self.system.knots - 1
-        inverse, _ = lapack.dtrtri(self._final_root, lower=1)
-        by_knot, by_constants = inverse[:d, :d], inverse[d:, d:]
-        constants = by_constants.T @ by_constants
-        known = np.empty((count + 1, d, d))
-        slope = np.empty((count + 1, d, constants.shape[0]))
-        known[count] = by_knot.T @ by_knot
-        slope[count] = -by_knot.T @ self._final_root[d:, :d].T
-        if count:
-            spread = self._b @ np.swapaxes(self._inverse_roots, 1, 2)
-            scatter = spread @ np.swapaxes(spread, 1, 2)
-            for k in range(count - 1, -1, -1):
-                by_next = self._back[k, :, :d]
-                known[k] = by_next @ known[k + 1] @ by_next.T + scatter[k]
-                slope[k] = by_next @ slope[k + 1] + self._back[k, :, d:-1]
-        cross = slope @ constants
-        knots = known + cross @ np.swapaxes(slope, 1, 2)
-        knots = 0.5 * (knots + np.swapaxes(knots, 1, 2))
-        neighbours = np.empty((count, d, d))
-        if count:
-            by_next, by_known = self._back[:, :, :d], self._back[:, :, d:-1]
-            neighbours = by_next @ knots[1:] + by_known @ np.swapaxes(cross[1:], 1, 2)
-        return Marginals(knots, neighbours, cross, constants)
+        moved = np.matmul(self._gain[:, :, :d], knots[1:, :, None])[:, :, 0]
+        return np.asarray(-moved - self._gain[:, :, d:] @ np.append(constants, 1.0))
 
     def half_log_determinant(self) -> float:
         """Return half the log determinant of the information of (x[0], w, constants)."""
@@ -324,4 +380,4 @@ def response(system: LinearSystem, knot: int, direction: NDArray[np.float64]) ->
         prior_gradient=np.zeros_like(system.prior_gradient),
         constants=np.zeros_like(system.constants),
     )
-    return Elimination(quiet).solve()
+    return quiet.factorise().solve()

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from geograph.eliminate import Factorisation
     from geograph.families import Evaluation, Family, Values
     from geograph.motion import Motion
+    from geograph.recording import EliminationName
     from geograph.states import SensorStates
 
 # A walk starts at zero; this fraction of its scale is small against anything it can become, and
@@ -69,6 +71,8 @@ class Problem:
         Loss of each measurement.
     weights
         For each family, fixed weights of its measurements (graduated non-convexity), or None.
+    elimination
+        ``"structured"`` or ``"gtsam"``: who factorises the linear systems.
     """
 
     def __init__(
@@ -83,6 +87,7 @@ class Problem:
         path_scale: NDArray[np.float64],
         loss: Loss | None = None,
         weights: Sequence[NDArray[np.float64] | None] | None = None,
+        elimination: EliminationName = "structured",
     ) -> None:
         self.motion = motion
         self.knots_s = knots_s
@@ -94,6 +99,7 @@ class Problem:
         self.path_scale = path_scale
         self.loss = loss or Loss("none")
         self.weights = list(weights) if weights is not None else [None] * len(self.families)
+        self.elimination: EliminationName = elimination
         self.steps_s = np.diff(knots_s)
         self.layout = ColumnLayout(
             3 * motion.order, walk_scale.size, states.size, chained=knots_s.size > 1
@@ -123,6 +129,7 @@ class Problem:
             "path_scale": self.path_scale,
             "loss": self.loss,
             "weights": self.weights,
+            "elimination": self.elimination,
         }
         return Problem(**(arguments | changes))  # type: ignore[arg-type]
 
@@ -218,8 +225,24 @@ class Problem:
         information = np.concatenate([ratio**2, np.full(walks, _WALK_START_SIGMA**-2)])
         gradient = np.concatenate([ratio * start, values.walks[0] / _WALK_START_SIGMA**2])
         return LinearSystem(
-            blocks, inverse, noise_root, residual, information, gradient, values.constants, cost
+            blocks,
+            inverse,
+            noise_root,
+            residual,
+            information,
+            gradient,
+            values.constants,
+            cost,
+            by=self._factorisation(),
         )
+
+    def _factorisation(self) -> type[Factorisation] | None:
+        if self.elimination == "structured":
+            return None
+        # Imported here: the structured solver alone does without GTSAM.
+        from geograph.gtsam_elimination import GtsamElimination
+
+        return GtsamElimination
 
     def _transitions(
         self, values: Values

@@ -30,6 +30,7 @@ MotionName = Literal[
     "ballistic",
     "orbital",
 ]
+EliminationName = Literal["structured", "gtsam"]
 LossName = Literal["auto", "none", "huber", "cauchy", "geman-mcclure", "gnc"]
 
 
@@ -55,6 +56,9 @@ class SmoothSettings:
         outliers show, which are then rejected by graduated non-convexity.
     max_iterations
         Limit of Levenberg-Marquardt iterations in one solve.
+    elimination
+        Who factorises the linear systems: ``"structured"`` (our own, exact for any process noise),
+        or ``"gtsam"`` for GTSAM's general elimination of the same blocks. Not in recordings.
 
     Raises
     ------
@@ -68,6 +72,7 @@ class SmoothSettings:
     spacing_s: float | None = None
     loss: LossName = "auto"
     max_iterations: int = 500
+    elimination: EliminationName = "structured"
 
     def __post_init__(self) -> None:
         if self.motion not in get_args(MotionName):
@@ -80,6 +85,11 @@ class SmoothSettings:
             raise InputError(
                 f"unknown loss {self.loss!r}; expected one of " + ", ".join(get_args(LossName)),
                 column="loss",
+            )
+        if self.elimination not in get_args(EliminationName):
+            raise InputError(
+                f"unknown elimination {self.elimination!r}; expected structured or gtsam",
+                column="elimination",
             )
         self._check_noise()
         if self.spacing_s is not None and not _positive(self.spacing_s):

@@ -190,6 +190,7 @@ class Smoother:
             prior=prior,
             path_scale=scale,
             loss=loss,
+            elimination=settings.elimination,
         )
         self._resolution = resolution
         values = Values(state, np.zeros((knots.size, states.diffusion.size)), constants)
@@ -339,6 +340,7 @@ class Smoother:
             path_scale=problem.path_scale,
             loss=problem.loss,
             weights=weights,
+            elimination=problem.elimination,
         )
         self._refresh(values)
         self.solution = self._solve(self.problem, values)

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geograph.eliminate import Elimination, NotPositiveDefiniteError
+from geograph.eliminate import NotPositiveDefiniteError
 
 if TYPE_CHECKING:
-    from geograph.eliminate import LinearSystem, Step
+    from geograph.eliminate import Factorisation, LinearSystem, Step
     from geograph.families import Values
     from geograph.problem import Problem
 
@@ -70,7 +70,7 @@ class Solution:
     status: Status
     cost: float
     iterations: int
-    elimination: Elimination | None
+    elimination: Factorisation | None
 
 
 def solve(
@@ -158,11 +158,11 @@ def _relaxed(damping: float, gain: float) -> float:
 
 def _damped_step(
     system: LinearSystem, damping: float
-) -> tuple[Elimination | None, Step | None, float]:
+) -> tuple[Factorisation | None, Step | None, float]:
     """Factorise with as little damping as makes the system positive definite."""
     while damping <= _LARGEST_DAMPING:
         try:
-            elimination = Elimination(system, damping)
+            elimination = system.factorise(damping)
         except NotPositiveDefiniteError:
             damping = _FIRST_DAMPING if damping == 0.0 else damping * 10.0
             continue
@@ -173,8 +173,8 @@ def _damped_step(
     return None, None, damping
 
 
-def _undamped(system: LinearSystem) -> Elimination | None:
+def _undamped(system: LinearSystem) -> Factorisation | None:
     try:
-        return Elimination(system)
+        return system.factorise()
     except NotPositiveDefiniteError:
         return None
