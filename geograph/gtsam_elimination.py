@@ -77,7 +77,8 @@ class GtsamElimination(Factorisation):
             for i in used:
                 arguments += [block[part[i], part[j]] for j in used if j >= i]
                 arguments.append(-block[part[i], -1])
-            graph.push_back(gtsam.HessianFactor(*arguments, float(block[-1, -1])))
+            arguments.append(float(block[-1, -1]))
+            graph.push_back(gtsam.HessianFactor(*arguments))
 
     def _add_priors(self, graph: gtsam.GaussianFactorGraph) -> None:
         """Add the first knot's prior, that of the constants, and the damping."""
