@@ -100,7 +100,8 @@ class BlockSum:
 
     def __init__(self, layout: ColumnLayout, path_scale: NDArray[np.float64]) -> None:
         self.layout = layout
-        self.path_scale = path_scale
+        # Of both neighbours, so that NumPy sees one long row where there are no walks.
+        self._knots_scale = np.stack([path_scale, path_scale])
         self._planned: tuple[NDArray[np.int64], ...] | None = None
         self._passes: list[_Pass] = []
         self._buffer = np.empty((0, 0, 0))
@@ -167,11 +168,10 @@ class BlockSum:
         layout = self.layout
         by_knots = found.by_knots[part.measurements]
         dense = self._buffer[: by_knots.shape[0]]
-        dense[:, :, layout.path :] = 0.0
-        np.multiply(by_knots[:, :, 0], self.path_scale, out=dense[:, :, : layout.path])
-        if layout.chained:
-            following = slice(layout.knot, layout.knot + layout.path)
-            np.multiply(by_knots[:, :, 1], self.path_scale, out=dense[:, :, following])
+        dense[:] = 0.0
+        knots = dense[:, :, : layout.states].reshape(*dense.shape[:2], -1, layout.knot)
+        scale = self._knots_scale[: knots.shape[2]]
+        np.multiply(by_knots[:, :, : knots.shape[2]], scale, out=knots[..., : layout.path])
         entry = part.constants
         at = part.place[found.constant_row[entry]]
         dense[at, :, layout.states + found.constant_column[entry]] = found.by_constants[entry]

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 
 _KNOT, _SENSOR = "x", "s"
 
+# Cholesky, the default and a little faster, calls longer chains indeterminate that are not; the
+# damping that is then raised takes dozens of iterations.
+_LONG = 1000
+
 
 def _derivatives(
     direction: tuple[float, float, float, float],
@@ -180,6 +184,7 @@ class _PerBearingRun(Run):
         )
         self._knots = [gtsam.symbol(_KNOT, k) for k in range(knots)]
         self._sensors = [gtsam.symbol(_SENSOR, s) for s in range(sensors)]
+        self._long = knots > _LONG
         prior = gtsam.noiseModel.Diagonal.Sigmas(data.prior_sigma / data.scale)
         graph.push_back(gtsam.PriorFactorVector(self._knots[0], np.zeros(9), prior))
         unit = gtsam.noiseModel.Unit.Create(ERRORS)
@@ -202,6 +207,8 @@ class _PerBearingRun(Run):
         params.setRelativeErrorTol(TOLERANCE)
         params.setAbsoluteErrorTol(0.0)
         params.setOrdering(self._ordering)
+        if self._long:
+            params.setLinearSolverType("MULTIFRONTAL_QR")
         optimizer = gtsam.LevenbergMarquardtOptimizer(self._graph, self._values, params)
         self._values = optimizer.optimize()
         data = self._data
@@ -220,9 +227,10 @@ class _PerBearingRun(Run):
 
     def stages(self) -> Stages:
         linear = self._graph.linearize(self._values)
+        arguments = (self._ordering, gtsam.EliminateQR) if self._long else (self._ordering,)
         return Stages(
             seconds(lambda: self._graph.linearize(self._values), repeats=1),
-            seconds(lambda: linear.optimize(self._ordering), repeats=1),
+            seconds(lambda: linear.optimize(*arguments), repeats=1),
         )
 
 
