@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from geograph.errors import InputError, SolveError
 from geograph.io import read
+from geograph.io.atomic import tidy
 from geograph.results import from_track
 from geograph.results.write import check_target, save, write_csv
 from geograph.workers import Lost, run_isolated
@@ -153,12 +154,18 @@ def smooth_many(
     outcomes: list[Outcome | None] = [None] * len(jobs)
     count = min(workers or usable_cores(), len(jobs))
     # Closed at once when on_done raises, for that ends the processes.
-    with closing(run_isolated(task, jobs, workers=count)) as finished:
-        for index, result in finished:
-            outcome = _crash(jobs[index], result) if isinstance(result, Lost) else result
-            outcomes[index] = outcome
-            if on_done is not None:
-                on_done(outcome)
+    try:
+        with closing(run_isolated(task, jobs, workers=count)) as finished:
+            for index, result in finished:
+                outcome = _crash(jobs[index], result) if isinstance(result, Lost) else result
+                outcomes[index] = outcome
+                if on_done is not None:
+                    on_done(outcome)
+    except BaseException:
+        # Processes that were ended had no time to remove their drafts.
+        for job in jobs:
+            tidy(job.folder)
+        raise
     done = [outcome for outcome in outcomes if outcome is not None]
     _write_table(done, target)
     return done
@@ -184,6 +191,11 @@ def smooth_job(
         save(results, job.folder, pictures=pictures)
     except InputError as error:
         return Outcome(job=job, kind="bad input", status="failed", message=str(error))
+    except OSError as error:
+        # A full disk is nobody's mistake in the code: no traceback.
+        where = f"{error.filename}: " if error.filename else ""
+        message = f"{where}{error.strerror or error}"
+        return Outcome(job=job, kind="crashed", status="failed", message=message)
     except SolveError as error:
         status = str(error.status)
         return Outcome(job=job, kind="not converged", status=status, message=str(error))

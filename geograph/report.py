@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from geograph.observability import weak_directions
 from geograph.robust import thresholds
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from geograph.smoother import Smoother
 
 _FLAG_SIGMAS = 3.0
+_MISFIT = 1.5
+_MISFIT_CHANCE = 1e-4
 
 
 def make_track(smoother: Smoother, *, seconds: float) -> Track:
@@ -280,7 +283,7 @@ def _rejected(
 
 
 def _flagged(track: Track) -> list[str]:
-    """Name every sensor error that is further from zero than its prior allows."""
+    """Name every sensor error beyond its prior, and every sensor that the path does not fit."""
     sentences = []
     for name, states in track.sensor_errors.items():
         for state, entry in states.items():
@@ -289,6 +292,21 @@ def _flagged(track: Track) -> list[str]:
                     f"{name}: {state} is {entry.estimate:.4g} +- {entry.sigma:.2g} {entry.unit}, "
                     f"{abs(entry.estimate) / entry.prior_sigma:.1f} times its prior sigma"
                 )
+    return sentences + _misfits(track)
+
+
+def _misfits(track: Track) -> list[str]:
+    """Name every sensor whose residuals are wider than stated, beyond chance and by much."""
+    residuals = track.residuals
+    sentences = []
+    for index, name in enumerate(track.recording.sensor_names):
+        kept = residuals.normalised[(residuals.sensor == index) & ~residuals.rejected]
+        square = float(np.sum(kept**2))
+        if square > max(_MISFIT**2 * kept.size, float(chi2.isf(_MISFIT_CHANCE, kept.size))):
+            sentences.append(
+                f"{name}: residuals are {np.sqrt(square / kept.size):.3g} times their sigmas; its "
+                "sigmas, its errors or the motion model do not fit, and covariances are too small"
+            )
     return sentences
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import os
 import signal
@@ -138,8 +139,20 @@ def test_interrupting_a_batch_is_quiet_and_leaves_no_half_results(tmp_path):
     assert (process.returncode, out, err) == (130, "", "")
     done = [path for path in (tmp_path / "out").iterdir() if not path.name.startswith(".")]
     assert 0 < len(done) < len(sources)
+    assert len(done) == len(list((tmp_path / "out").iterdir()))
     for folder in done:
         assert len(list(folder.iterdir())) == 13 - (not (folder / "sensor_errors.csv").exists())
+
+
+def test_a_full_disk_is_no_crash_of_ours(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device", "out/pass")
+
+    monkeypatch.setattr(batch, "save", full)
+    job = batch.Job(source=write_small(tmp_path / "pass"), folder=tmp_path / "out")
+    outcome = batch.smooth_job(job, changes={}, pictures=False, command=None)
+    assert (outcome.kind, outcome.details) == ("crashed", "")
+    assert outcome.message == "out/pass: No space left on device"
 
 
 def test_killed_batch_leaves_whole_results_only(tmp_path):

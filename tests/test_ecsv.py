@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import geograph as gg
+from geograph.cli import main
 from geograph.errors import InputError
 from geograph.io import convert, read_ecsv
 from geograph.io.scatter import FLOOR_RAD, angular_scatter_rad
@@ -309,6 +310,19 @@ def test_missing_column(tmp_path: Path) -> None:
     text = (HEAD + ROWS).replace("altitude", "elevation")
     with pytest.raises(InputError, match="column altitude: no column altitude"):
         read_ecsv(write(tmp_path / "a.ecsv", text))
+
+
+def test_one_camera_differs_from_all_others(tmp_path: Path) -> None:
+    files = [
+        write(tmp_path / "a.ecsv"),
+        write(tmp_path / "b.ecsv", HEAD.replace("X1", "X2") + ROWS),
+    ]
+    inputs = [*map(str, files), str(tmp_path / "out")]
+    options = ["--clock-offset", "0.1", "--clock-offset", "X2=5", "--sigma", "0.01"]
+    assert main(["convert", *inputs, *options]) == 0
+    made = gg.read(tmp_path / "out")
+    errors = {name: sensor.errors for name, sensor in made.sensors.items()}
+    assert {name: found.clock_offset_s for name, found in errors.items()} == {"X1": 0.1, "X2": 5.0}
 
 
 def test_bad_options(tmp_path: Path) -> None:

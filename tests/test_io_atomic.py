@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 import signal
@@ -119,6 +120,22 @@ def test_error_leaves_the_old_content(tmp_path: Path) -> None:
         fail_after((staging / "summary.json").write_text("new"))
     assert (target / "summary.json").read_text() == "old"
     assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_full_disk_is_named_by_the_folder(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="nothing of this result was written") as caught:  # noqa: SIM117
+        with replacing_folder(tmp_path / "out"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+    assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(tmp_path / "out"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_leftovers_are_tidied_without_a_new_run(tmp_path: Path) -> None:
+    atomic.tidy(tmp_path / "no" / "out")
+    (tmp_path / ".out.geograph-new-0123456789ab").mkdir()
+    (tmp_path / ".other.geograph-new-0123456789ab").mkdir()
+    atomic.tidy(tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == [".other.geograph-new-0123456789ab"]
 
 
 def test_new_nested_and_empty_targets(tmp_path: Path) -> None:

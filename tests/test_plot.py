@@ -18,6 +18,25 @@ from geograph.plot._plane import length_unit, plane_of
 from geograph.units import fitting_unit
 
 
+def test_names_are_drawn_as_they_are(tmp_path):
+    with look.style():
+        figure = look.new_figure(3.0, 3.0)
+        text = figure.text(0.5, 0.5, "cost: $3 and 5$, 日本")
+        figure.savefig(tmp_path / "names.png")
+    assert not text.get_parse_math()
+
+
+@pytest.mark.parametrize(("start", "offset"), [(0.0, ""), (16.0, ""), (1e9, "+1e9")])
+def test_times_show_their_common_digits_once(start, offset):
+    with look.style():
+        figure = look.new_figure(3.0, 3.0)
+        ax = figure.subplots()
+        ax.plot([start, start + 20.0], [0.0, 1.0])
+        look.label_time(ax, "time (s)")
+        figure.canvas.draw()
+    assert ax.xaxis.get_offset_text().get_text() == offset
+
+
 @pytest.mark.parametrize(
     "options",
     [

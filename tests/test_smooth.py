@@ -271,6 +271,15 @@ def test_a_biased_sensor_is_flagged() -> None:
     assert abs(entry.estimate - 0.01) < 5.0 * entry.sigma + 5e-4
 
 
+def test_sensors_that_do_not_fit_are_flagged() -> None:
+    times = np.linspace(0, 60, 180)
+    fits = recording(straight, times, motion="constant-velocity", process_noise=0.05)
+    assert gg.smooth(fits).summary["flagged_sensors"] == []
+    flagged = gg.smooth(fits, motion="static").summary["flagged_sensors"]
+    assert [sentence.split(":")[0] for sentence in flagged] == list(fits.sensors)
+    assert all("times their sigmas" in sentence for sentence in flagged)
+
+
 def test_correlation_one_counts_a_sensor_once() -> None:
     made = recording(still, range(60), motion="static")
     alone = gg.smooth(made)

@@ -169,13 +169,15 @@ def convert(
         list[str] | None,
         typer.Option(
             metavar="[CAMERA=]S",
-            help="Prior 1-sigma of clocks in seconds, of all or of one camera; repeatable.",
+            help="Prior 1-sigma of clocks in seconds, of all cameras or of one; repeatable; "
+            "default: 1.",
         ),
     ] = None,
     bias: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="[CAMERA=]DEG", help="Prior 1-sigma of azimuth and elevation biases, degrees."
+            metavar="[CAMERA=]DEG",
+            help="Prior 1-sigma of azimuth and elevation biases, degrees; default: 0.02.",
         ),
     ] = None,
     sigma: Annotated[

@@ -80,7 +80,9 @@ def _path_rows(results: Results) -> list[list[str]]:
             latitude, longitude, height = geodetic[knot]
             place = [f"{latitude:.6f}", f"{longitude:.6f}", f"{height:.1f}"]
         spread = [f"{value:.3g}" for value in np.sqrt(np.diag(covariance[knot]))]
-        row = [label, f"{results.time_s[knot]:.3f}", *place, *spread]
+        # Light takes microseconds: no minus zero.
+        time = round(float(results.time_s[knot]), 3) + 0.0
+        row = [label, f"{time:.3f}", *place, *spread]
         if speed is not None and sigma_speed is not None:
             row += [f"{speed[knot]:.1f}", f"{sigma_speed[knot]:.2g}"]
         rows.append(row)

@@ -29,7 +29,7 @@ def run_convert(
         Inputs and the output.
     options
         Values by the names of :func:`geograph.io.convert`, as given: ``VALUE`` for all cameras or
-        ``CAMERA=VALUE`` for one.
+        ``CAMERA=VALUE`` for one, which then has that of its own.
     tables, overwrite
         As in :func:`geograph.io.convert`.
 
@@ -45,26 +45,30 @@ def run_convert(
 
 
 def per_camera(name: str, texts: Sequence[str]) -> float | dict[str, float]:
-    """Return the value for all cameras, or values by camera.
+    """Return the value for all cameras, or values by camera, with that of all others under "".
 
     >>> per_camera("clock_offset_s", ["0.5"])
     0.5
     >>> per_camera("clock_offset_s", ["UK000X=5", "DFNEXT065=0.01"])
     {'UK000X': 5.0, 'DFNEXT065': 0.01}
+    >>> per_camera("clock_offset_s", ["1", "UK000X=5"])
+    {'': 1.0, 'UK000X': 5.0}
+
+    Raises
+    ------
+    InputError
+        If one is not a number, or two are for the same.
     """
     values: dict[str, float] = {}
     for text in texts:
         camera, _, number = text.rpartition("=")
+        if camera in values:
+            whose = f"camera {camera}" if camera else "all cameras"
+            raise InputError(f"{name} is given twice for {whose}; expected one number")
         try:
             values[camera] = float(number)
         except ValueError:
             raise InputError(
                 f"{name} is {text!r}; expected a number, or CAMERA=NUMBER for one camera"
             ) from None
-    if "" not in values:
-        return values
-    if len(texts) > 1:
-        raise InputError(
-            f"{name} is given for all cameras and again; expected one number, or CAMERA=NUMBER only"
-        )
-    return values[""]
+    return values[""] if list(values) == [""] else values

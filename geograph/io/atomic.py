@@ -39,6 +39,7 @@ RECORDING_FILES = ("recording.toml", "*.csv", "*.parquet")
 _AT_FDCWD = -100
 _RENAME_EXCHANGE_LINUX = 2
 _RENAME_SWAP_MACOS = 2
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager
@@ -82,7 +83,8 @@ def replacing_folder(
         check_replaceable(folder, markers=markers, shown=target)
         staging, lock = _make_staging(folder)
     try:
-        yield staging
+        with _naming(target):
+            yield staging
         with _as_input_error(target):
             if folder.exists():
                 shutil.copymode(folder, staging)
@@ -153,6 +155,30 @@ def check_replaceable(
             f"{' or '.join(markers)} of an earlier run; name another",
             path=name,
         )
+
+
+def tidy(folder: Path) -> None:
+    """Remove what ended runs left beside a folder, and what they moved away put back.
+
+    Parameters
+    ----------
+    folder
+        That was to be replaced; it need not be there.
+    """
+    if folder.parent.is_dir():
+        _tidy(folder.resolve())
+
+
+@contextmanager
+def _naming(target: Path | str) -> Iterator[None]:
+    """Name the folder where a disk is full: writing does not say what it wrote to."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _NO_SPACE:
+            raise
+        reason = f"{error.strerror}; nothing of this result was written"
+        raise OSError(error.errno, reason, str(target)) from error
 
 
 @contextmanager

@@ -90,7 +90,8 @@ def read_ecsv(
     paths
         Files, or folders of .ecsv files.
     clock_offset_s
-        Prior 1-sigma of every camera's clock offset, seconds.
+        Prior 1-sigma of every camera's clock offset, seconds: a number, or (this and the following)
+        numbers by camera, with that of all others under ``""``.
     bias_deg
         Prior 1-sigma of azimuth and elevation biases, degrees. By default 0.02.
     sigma_deg
@@ -312,9 +313,10 @@ def _value(option: PerCamera | None, name: str, names: list[str], what: str) -> 
     if not isinstance(option, Mapping):
         return None if option is None else _checked(option, what)
     for key in option:
-        if key not in names:
+        if key and key not in names:
             raise InputError(f"{what} names {shown(key)}; {expected_one_of(key, names)}")
-    return _checked(option[name], what) if name in option else None
+    given = option.get(name, option.get(""))
+    return None if given is None else _checked(given, what)
 
 
 def _checked(value: float, what: str) -> float:

@@ -33,7 +33,7 @@ def draw_normalised(results: Results, ax: Axes) -> None:
             label = place.sensor if len(results.sensors) <= 12 else "_"
             _scatter_normalised(ax, rows, label=label, **style)
     _mark_rejected(ax, results.residuals, normalised=True)
-    ax.set_xlabel(_TAG)
+    look.label_time(ax, _TAG)
     ax.set_ylabel("residual / sigma")
 
 
@@ -58,7 +58,7 @@ def residual_figure(results: Results) -> Figure:
         _draw_kinds(right, rows)
         right.set_ylabel("residual / sigma")
     for ax in axes[-1]:
-        ax.set_xlabel(_TAG)
+        look.label_time(ax, _TAG)
     _legend(figure, axes.ravel().tolist())
     return figure
 
@@ -82,7 +82,7 @@ def _grid_figure(results: Results, sensors: list[str]) -> Figure:
     for ax in axes[:, 0]:
         ax.set_ylabel("residual / sigma")
     for ax in axes[-1]:
-        ax.set_xlabel(_TAG)
+        look.label_time(ax, _TAG)
     _legend(figure, axes.ravel().tolist())
     return figure
 

@@ -127,7 +127,7 @@ def draw_curves(results: Results, ax: Axes, kind: str) -> None:
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0)
     ax.set_title(f"{kind} error over time, with 95 % bands")
     ax.set_ylabel(f"{kind} error ({unit.name})")
-    ax.set_xlabel(time_label(results))
+    look.label_time(ax, time_label(results))
 
 
 def _draw_curve(ax: Axes, curve: ErrorCurve, *, colour: str, size: float) -> None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import warnings
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
@@ -42,14 +46,26 @@ _STYLE: Any = {
     "legend.fontsize": 8,
     "legend.frameon": False,
     "savefig.dpi": 150,
+    # Names are the user's own: a dollar in one is a dollar.
+    "text.parse_math": False,
 }
 
 
-def style() -> Any:
-    """Return a context in which figures have geograph's style."""
+@contextmanager
+def style() -> Iterator[None]:
+    """Give a context in which figures have geograph's style, to be drawn in it."""
     import matplotlib as mpl
 
-    return mpl.rc_context(_STYLE)
+    with mpl.rc_context(_STYLE), warnings.catch_warnings():
+        # Names in scripts that the font lacks are drawn as boxes; the tables have them whole.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        yield
+
+
+def label_time(ax: Axes, label: str) -> None:
+    """Label a time axis; times that share their first digits show these once, beside it."""
+    ax.set_xlabel(label)
+    ax.ticklabel_format(axis="x", useOffset=True)
 
 
 def new_figure(width: float, height: float) -> Figure:

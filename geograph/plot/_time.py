@@ -182,7 +182,7 @@ def _draw_band(results: Results, ax: Axes, series: _Series) -> None:
         style = "--" if series.true.size > 1 else "o"
         true = series.true / unit.size
         ax.plot(series.true_time_s, true, style, color=look.TRUTH, lw=1.0, label="truth")
-    ax.set_xlabel(time_label(results))
+    look.label_time(ax, time_label(results))
     ax.set_ylabel(f"{series.name} ({unit.name})")
     ax.legend(loc="best")
 
@@ -198,7 +198,7 @@ def _draw_spread(results: Results, ax: Axes, series: _Series) -> None:
         style = "--" if series.error.size > 1 else "o"
         ax.plot(series.true_time_s, series.error / unit.size, style, color=look.TRUTH, lw=1.0)
         what += ",\ntruth - estimate"
-    ax.set_xlabel(time_label(results))
+    look.label_time(ax, time_label(results))
     ax.set_ylabel(f"{what} ({unit.name})")
 
 
