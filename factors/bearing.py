@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 # Sine of the distance from the zenith within which cosines of elevations are rounded off.
 _ZENITH_ROUNDING = 0.02
 
+# Sine of the distance from the point opposite the measured direction that counts as opposite.
+_OPPOSITE = 1e-7
+
 
 @dataclass(frozen=True, eq=False)
 class BearingResidual:
@@ -150,6 +153,12 @@ def tangent_residual(
     s2 = up * cos_e - forward * sin_e
     c = forward * cos_e + up * sin_e
     sine2 = s1 * s1 + s2 * s2
+    # Opposite the measured direction the residual is half a turn in any direction: one is chosen,
+    # or else the residual would vanish there and hold the object behind the sensor.
+    opposite = (sine2 < _OPPOSITE**2) & (c < 0.0)
+    if opposite.any():
+        s1, s2 = np.where(opposite, _OPPOSITE, s1), np.where(opposite, 0.0, s2)
+        sine2 = s1 * s1 + s2 * s2
     stretch, curvature = _log_map(sine2, c)
     value = np.stack([stretch * s1, stretch * s2], axis=1)
     if noise_elevation_rad is None:
@@ -204,8 +213,7 @@ def _log_map(
     curvature = 1.0 / 3.0 + sine2 * (2.0 / 15.0)
     large = (sine2 > 1e-6) | (cosine < 0.0)
     if large.any():
-        # Opposite the measured direction the map is undefined; the floor keeps it finite.
-        sine = np.sqrt(np.maximum(sine2[large], 1e-6))
+        sine = np.sqrt(sine2[large])
         theta = np.arctan2(sine, cosine[large])
         stretch[large] = theta / sine
         curvature[large] = (sine - theta * cosine[large]) / sine**3

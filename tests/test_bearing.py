@@ -101,7 +101,18 @@ def test_tangent_derivatives_almost_opposite(azimuth, elevation, short, towards)
     check(tangent_residual, line, azimuth, elevation, step=2e-3 * short, rtol=1e-7)
 
 
+@pytest.mark.parametrize("short", [0.0, 1e-15, 1e-12, 1e-9, 1e-7, 1e-6, 1e-4, 1e-3, 1e-2])
+def test_tangent_residual_opposite_is_half_a_turn(short):
+    for towards in np.linspace(-3.0, 3.0, 7):
+        line = 20.0 * turned_away(0.4, 0.7, np.pi - short, towards)
+        value = single(tangent_residual, line, 0.4, 0.7).value
+        assert np.linalg.norm(value) == pytest.approx(np.pi - short, abs=2e-7)
+
+
 def test_tangent_residual_opposite_is_finite():
+    exact = -direction(0.4, 0.2)
+    found = single(tangent_residual, exact, 0.4, 0.2, jacobian=True)
+    assert np.isfinite(found.by_line_of_sight).all()
     for angle in (np.pi, np.pi - 1e-12, np.pi - 1e-6):
         found = single(tangent_residual, turned_away(0.4, 0.2, angle, 1.0), 0.4, 0.2, jacobian=True)
         for part in (found.value, found.by_line_of_sight, found.by_error):
