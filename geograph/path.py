@@ -87,9 +87,15 @@ class Path(ABC):
 class PathState(ABC):
     """A path with its knots' states filled in."""
 
-    @abstractmethod
+    _basis: NDArray[np.float64]
+    """Shape (intervals, w, 3): what the weights of a place multiply."""
+
     def position_velocity(self, place: Place) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return position and velocity, each shape (n, 3)."""
+        basis = self._basis[place.interval]
+        position = np.matmul(place.position_weights[:, None, :], basis)[:, 0]
+        velocity = np.matmul(place.velocity_weights[:, None, :], basis)[:, 0]
+        return position, velocity
 
     @abstractmethod
     def chain(
@@ -139,14 +145,7 @@ class KinematicPathState(PathState):
         self._order = path.order
         following = state[1:] if state.shape[0] > 1 else np.zeros_like(state)
         both = np.concatenate([state[: following.shape[0]], following], axis=1)
-        self._blocks = both.reshape(following.shape[0], 2 * path.order, 3)
-
-    def position_velocity(self, place: Place) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return position and velocity, each shape (n, 3)."""
-        blocks = self._blocks[place.interval]
-        position = np.matmul(place.position_weights[:, None, :], blocks)[:, 0]
-        velocity = np.matmul(place.velocity_weights[:, None, :], blocks)[:, 0]
-        return position, velocity
+        self._basis = both.reshape(following.shape[0], 2 * path.order, 3)
 
     def chain(
         self,
@@ -221,13 +220,6 @@ class BallisticPathState(PathState):
             derivative[:, 3:5] = self.fall_jacobian.reshape(count, 2, 3, 6)
             derivative[:, 5] = end_p @ self.fall_jacobian[:, :3] + end_v @ self.fall_jacobian[:, 3:]
             self._derivative = derivative.reshape(count, 6, 18)
-
-    def position_velocity(self, place: Place) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return position and velocity, each shape (n, 3)."""
-        basis = self._basis[place.interval]
-        position = np.matmul(place.position_weights[:, None, :], basis)[:, 0]
-        velocity = np.matmul(place.velocity_weights[:, None, :], basis)[:, 0]
-        return position, velocity
 
     def chain(
         self,

@@ -29,6 +29,7 @@ from geograph.losses import Loss
 from geograph.motion import Density, Motion
 from geograph.prepare import Prepared, prepare
 from geograph.problem import PathPrior, Problem
+from geograph.process_noise import guess_noise, least_noise
 from geograph.report import make_track
 from geograph.robust import anneal, thresholds
 from geograph.solver import Solution, Status, solve
@@ -163,7 +164,7 @@ class Smoother:
         resolution = self.resolution(fit)
         noise = settings.process_noise
         if noise == "auto":
-            noise = self._guess_noise(fit, order, resolution)
+            noise = guess_noise(fit, order, resolution)
         density = Density.of(noise, settings.process_noise_along)
         motion = Motion(settings.motion, density, prepared.recording.frame)
         knots = self._knots(motion, self._emission_times(fit), resolution)
@@ -221,19 +222,6 @@ class Smoother:
         check_memory(count, unknowns, spacing)
         return place_knots(times_s, spacing, automatic=automatic)
 
-    def _guess_noise(self, fit: PathFit, order: int, resolution: Resolution) -> float:
-        """Return a process noise from how much the fit's highest derivative changes."""
-        low, high = float(fit.spline.t[0]), float(fit.spline.t[-1])
-        state = fit.state(np.linspace(low, high, 41), order)[:, -3:]
-        change = float(np.sqrt(np.mean(np.var(state, axis=0))))
-        span = resolution.span_s
-        return max(change / float(np.sqrt(span)), self._least_noise(order, resolution))
-
-    def _least_noise(self, order: int, resolution: Resolution) -> float:
-        """Return a process noise too small to matter over the whole pass."""
-        best = resolution.sigma_m / np.sqrt(resolution.count)
-        return float(1e-2 * best / resolution.span_s ** (order - 0.5))
-
     def _solve(self, problem: Problem, values: Values, limit: int | None = None) -> Solution:
         """Solve, counting the iterations."""
         solution = solve(problem, values, max_iterations=limit or self.settings.max_iterations)
@@ -290,7 +278,7 @@ class Smoother:
     def _tune_noise(self, decades: float) -> None:
         """Set the process noise to the value of greatest marginal likelihood."""
         order = self.problem.motion.order
-        least = self._least_noise(order, self._resolution)
+        least = least_noise(order, self._resolution)
         for _ in range(3):
             centre = self.problem.motion.density.axes[0]
             low = np.log(max(centre * 10.0**-decades, least))

@@ -1,0 +1,159 @@
+"""Linear least squares through lines of sight: the pieces of the first guess.
+
+Every measurement gives rows e . (p(t) - S) = 0 for directions e across its line of sight; a path
+that is linear in its coefficients is then a linear problem (:mod:`geograph.initialise`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+    from scipy.interpolate import BSpline
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Linear constraints e . (p(t) - S) = 0 of n measurements.
+
+    Attributes
+    ----------
+    time_s, sensor, sensor_m
+        Shapes (n,), (n,), (n, 3): time by the sensor's corrected clock, sensor, its position.
+    axes
+        Shape (n, 3, 3): the sensor's axes in the frame.
+    direction, across
+        Shapes (n, 3), (n, 2, 3): unit vectors along the line, and towards azimuth and elevation.
+    sigma
+        Shape (n, 2), radians: across the line, biases included; inf where there is no elevation.
+    azimuth_only
+        Shape (n,).
+    """
+
+    time_s: NDArray[np.float64]
+    sensor: NDArray[np.int64]
+    sensor_m: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    across: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    azimuth_only: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of a least-squares problem: weight (direction . (functions . coefficients) - value)."""
+
+    functions: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    value: NDArray[np.float64]
+    weight: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """One fit: the path, whitened residuals (n, 2), and how flexible it is.
+
+    Attributes
+    ----------
+    spline
+        Position as a function of time.
+    normalised
+        Shape (n, 2): residuals over sigma times distance.
+    coefficients
+        Number of coefficients.
+    range_m
+        Median distance from the sensors.
+    behind
+        Share of the measurements with the object behind the sensor.
+    """
+
+    spline: BSpline
+    normalised: NDArray[np.float64]
+    coefficients: int
+    range_m: float
+    behind: float
+
+
+def angle(sight: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return angles between vectors and unit vectors, shapes (..., 3), radians."""
+    along = np.sum(sight * direction, axis=-1)
+    across = np.linalg.norm(sight - along[..., None] * direction, axis=-1)
+    return np.asarray(np.arctan2(across, along))
+
+
+def bounded_squares(attempt: Attempt, limit: float) -> float:
+    """Return the sum of squared residuals, each bounded at the square of a limit."""
+    return float(np.minimum(attempt.normalised**2, limit**2).sum())
+
+
+def misfit(attempts: Sequence[Attempt]) -> float:
+    """Return the best criterion among fits, each on its own scale.
+
+    It compares different clock offsets, for which no common scale is known beforehand.
+    """
+    return min(float(criteria([entry])[0]) for entry in attempts)
+
+
+def criteria(attempts: Sequence[Attempt]) -> NDArray[np.float64]:
+    """Return the Bayesian information criterion of fits, their noise level unknown.
+
+    Residuals are bounded at six times the scale of the tightest fit, so that outliers do not ask
+    for flexibility.
+    """
+    scale = min(robust_scale(entry.normalised) for entry in attempts)
+    rows = max(int(np.count_nonzero(attempts[0].normalised)), 2)
+    floor = 1e-12
+    values = []
+    for entry in attempts:
+        mean = bounded_squares(entry, max(6.0 * scale, floor)) / rows
+        values.append(rows * np.log(mean + floor) + entry.coefficients * np.log(rows))
+    return np.array(values)
+
+
+def robust_scale(normalised: NDArray[np.float64]) -> float:
+    """Return the robust standard deviation of residuals (1.4826 median absolute value)."""
+    used = np.abs(normalised[normalised != 0.0])
+    return float(1.4826 * np.median(used)) if used.size else 0.0
+
+
+def robust_weights(normalised: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return Cauchy weights on the scale of the residuals themselves, shape (n,)."""
+    scale = max(robust_scale(normalised), 1e-9)
+    return np.asarray(1.0 / (1.0 + np.sum(normalised**2, axis=1) / (3.0 * scale) ** 2))
+
+
+def weighted_lines(
+    basis: NDArray[np.float64],
+    lines: Lines,
+    white: NDArray[np.float64],
+    anchor: NDArray[np.float64],
+    *extra: Rows,
+) -> NDArray[np.float64]:
+    """Solve for the spline's coefficients, shape (b, 3), by regularised least squares.
+
+    The pull towards the anchor, a millionth of the data's own weight, decides only what the data
+    leave open.
+    """
+    size = 3 * basis.shape[1]
+    information = np.zeros((size, size))
+    target = np.zeros(size)
+    across = lines.across
+    values = np.einsum("nkc,nc->nk", across, lines.sensor_m)
+    rows = [Rows(basis, across[:, k], values[:, k], white[:, k]) for k in range(2)]
+    for part in (*rows, *extra):
+        design = (part.functions[:, :, None] * part.direction[:, None, :]).reshape(-1, size)
+        design = design * part.weight[:, None]
+        information += design.T @ design
+        # Relative to the anchor, so that large coordinates do not cost digits.
+        target += design.T @ ((part.value - part.direction @ anchor) * part.weight)
+    information[np.diag_indices(size)] += 1e-12 * float(np.trace(information)) / size
+    solution = np.linalg.solve(information, target).reshape(-1, 3)
+    # A spline's basis adds up to one everywhere: a constant is the same in every coefficient.
+    return np.asarray(solution + anchor)
