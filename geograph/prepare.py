@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from geograph.sensors import Sensor
 
 
+_CLOCK_SIGMAS = 3.0
+
+
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """A recording made ready for solving.
@@ -96,7 +99,8 @@ def prepare(recording: Recording) -> Prepared:
     Raises
     ------
     InputError
-        If it has no bearing, or a sensor with axes that are not supported.
+        If it has no bearing, a sensor with axes that are not supported, or a constraint at a time
+        when nothing was measured yet or any more.
     """
     table = recording.bearings
     if table is None or not len(table):
@@ -107,10 +111,31 @@ def prepare(recording: Recording) -> Prepared:
     sensors = tuple(recording.sensors.values())
     bearings = without_refraction(table, sensors)
     active = [int(index) for index in np.unique(bearings.sensor)]
+    _check_constraint_times(recording, [sensors[index] for index in active])
     states = SensorStates(sensors, active, float(bearings.time_s.min()))
     walk_scale = states.diffusion * np.sqrt(_span(bearings))
     geometry = SensorGeometry(sensors, recording.frame)
     return Prepared(recording, bearings, sensors, geometry, states, walk_scale)
+
+
+def _check_constraint_times(recording: Recording, sensors: list[Sensor]) -> None:
+    """Refuse constraints beyond the path, which they would bend at its end."""
+    table, bearings = recording.constraints, recording.bearings
+    if table is None or bearings is None:
+        return
+    # Time tags may be off by as much as the clocks.
+    margin = _CLOCK_SIGMAS * max(sensor.errors.clock_offset_s for sensor in sensors)
+    first, last = float(bearings.time_s.min()), float(bearings.time_s.max())
+    # Empty times, which are NaN, are of the whole path.
+    beyond = (table.time_s < first - margin) | (table.time_s > last + margin)
+    if beyond.any():
+        index = int(np.argmax(beyond))
+        raise InputError(
+            f"constraints, line {table.line[index]}, column time_s: {table.time_s[index]:.10g}, "
+            f"and the bearings are from {first:.10g} to {last:.10g} s; expected a time among them, or "
+            "an empty cell for the whole path",
+            path=recording.path,
+        )
 
 
 def _span(bearings: Bearings) -> float:

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 import geograph as gg
+from geograph.prepare import prepare
 from geograph.scenarios.ground import ground_pass
 from geograph.scenarios.low_orbit import low_orbit_pass
 from geograph.scenarios.sound import room
@@ -278,6 +279,23 @@ def test_sensors_that_do_not_fit_are_flagged() -> None:
     flagged = gg.smooth(fits, motion="static").summary["flagged_sensors"]
     assert [sentence.split(":")[0] for sentence in flagged] == list(fits.sensors)
     assert all("times their sigmas" in sentence for sentence in flagged)
+
+
+@pytest.mark.parametrize("time", [-1.0, 60.5, 500.0])
+def test_constraints_beyond_the_path_are_refused(time: float) -> None:
+    made = recording(straight, np.linspace(0, 60, 60))
+    table = gg.Constraints(
+        time_s=np.array([np.nan, 30.0, time]), kind=("altitude_m",) * 3, value=np.full(3, 1e3),
+        sigma=np.full(3, 1e3), line=np.arange(2, 5),
+    )  # fmt: skip
+    with pytest.raises(gg.InputError, match=f"line 4, column time_s: {time:g}, and the bearings"):
+        gg.smooth(gg.Recording(**{**vars(made), "constraints": table}))
+    clocks = {
+        name: gg.Sensor(name=name, position_m=sensor.position_m, axes="xyz",
+                        errors=gg.SensorErrors(clock_offset_s=200.0))
+        for name, sensor in made.sensors.items()
+    }  # fmt: skip
+    prepare(gg.Recording(**{**vars(made), "constraints": table, "sensors": clocks}))
 
 
 def test_correlation_one_counts_a_sensor_once() -> None:
