@@ -132,8 +132,8 @@ def _check_constraint_times(recording: Recording, sensors: list[Sensor]) -> None
         index = int(np.argmax(beyond))
         raise InputError(
             f"constraints, line {table.line[index]}, column time_s: {table.time_s[index]:.10g}, "
-            f"and the bearings are from {first:.10g} to {last:.10g} s; expected a time among them, or "
-            "an empty cell for the whole path",
+            f"and the bearings are from {first:.10g} to {last:.10g} s; expected a time among them, "
+            "or an empty cell for the whole path",
             path=recording.path,
         )
 
