@@ -34,7 +34,7 @@ def _derivatives(
     direction: tuple[float, float, float, float],
     turn: tuple[float, float, float, float],
     place: tuple[float, float, float],
-    factors: tuple[float, float, float],
+    factors: tuple[float, float, float, float],
 ) -> tuple[NDArray[np.float64], float, float, float, float]:
     """Return the whitened residual's derivatives by position (2, 3), azimuth and elevation errors.
 
@@ -47,12 +47,13 @@ def _derivatives(
     place
         Parts of the direction along the tangent plane's axes, and along the measured direction.
     factors
-        theta / sin(theta), its derivative by theta over sin(theta), and one over sigma.
+        theta / sin(theta), its derivative by theta over sin(theta), one over sigma, and what the
+        first row's derivatives by position are multiplied by.
     """
     x, y, z, inverse = direction
     sa, ca, se, ce = turn
     s1, s2, c = place
-    stretch, bend, white = factors
+    stretch, bend, white, ratio = factors
     sine2 = s1 * s1 + s2 * s2
     # d(stretch s) = stretch ds + bend s (c s.ds - sin^2 dc), for each argument in turn.
     by = inverse * white
@@ -67,7 +68,7 @@ def _derivatives(
         common = bend_c * (s1 * g1 + s2 * g2) - bend_s * (u - c * d)
         rows.append((stretch_w * g1 + s1 * common, stretch_w * g2 + s2 * common))
     (a1, a2), (b1, b2), (c1, c2) = rows
-    by_position = np.array(((a1, b1, c1), (a2, b2, c2)))
+    by_position = np.array(((a1 * ratio, b1 * ratio, c1 * ratio), (a2, b2, c2)))
     g1, g2 = se * s2 - ce * c, -se * s1
     common = bend * (c * (s1 * g1 + s2 * g2) - sine2 * ce * s1)
     az1, az2 = -white * (stretch * g1 + s1 * common), -white * (stretch * g2 + s2 * common)
@@ -131,10 +132,9 @@ def _bearing_factor(
         scaled = stretch * white
         if jacobians is not None:
             by_position, az1, az2, el1, el2 = _derivatives(
-                (x, y, z, inverse), (sa, ca, se, ce), (s1, s2, c), (stretch, bend, white)
+                (x, y, z, inverse), (sa, ca, se, ce), (s1, s2, c), (stretch, bend, white, ratio)
             )
             # The first row is multiplied by the ratio, which feels the elevation's error.
-            by_position[0] *= ratio
             el1 = (el1 - scaled * s1 * ce * se / level2) * ratio
             az1 *= ratio
             jacobians[0] = by_position @ first_f
