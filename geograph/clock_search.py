@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geograph.lines import angle, criteria, misfit
+from geograph.time_shift import centred
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -71,6 +72,11 @@ class ClockSearch:
                 scored += [(score + extra, trial) for extra, trial in found]
             scored.sort(key=lambda entry: entry[0])
             beam = scored[:_HYPOTHESES]
+        sensors = self.finder.sensors
+        if (prior[used] > 0.0).all() and all(sensors[i].trajectory is None for i in used):
+            # Only the priors say when it was: start where they are content.
+            for _, clocks in beam:
+                clocks[used] = centred(clocks[used], prior[used])
         return [clocks for _, clocks in beam]
 
     def _matters(self, sensor: int, prior_s: float) -> bool:

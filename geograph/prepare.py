@@ -12,6 +12,7 @@ from geograph.factors.refraction import refraction
 from geograph.families import AltitudeFamily, BearingFamily, Family, SpeedFamily
 from geograph.frames import SensorGeometry
 from geograph.states import SensorStates
+from geograph.time_shift import TimeShift, time_shift
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -42,6 +43,8 @@ class Prepared:
         Sensor-error states of the sensors that measured something.
     walk_scale
         Shape (w,): what each walk's diffusion adds over the pass, SI.
+    shift
+        A shift in time that only the clocks' priors determine, or None.
     """
 
     recording: Recording
@@ -50,6 +53,7 @@ class Prepared:
     geometry: SensorGeometry
     states: SensorStates
     walk_scale: NDArray[np.float64]
+    shift: TimeShift | None
 
     @property
     def span_s(self) -> float:
@@ -115,7 +119,8 @@ def prepare(recording: Recording) -> Prepared:
     states = SensorStates(sensors, active, float(bearings.time_s.min()))
     walk_scale = states.diffusion * np.sqrt(_span(bearings))
     geometry = SensorGeometry(sensors, recording.frame)
-    return Prepared(recording, bearings, sensors, geometry, states, walk_scale)
+    shift = time_shift(states, sensors, active, recording.constraints)
+    return Prepared(recording, bearings, sensors, geometry, states, walk_scale, shift)
 
 
 def _check_constraint_times(recording: Recording, sensors: list[Sensor]) -> None:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from geograph.motion import Motion
     from geograph.recording import EliminationName
     from geograph.states import SensorStates
+    from geograph.time_shift import TimeShift
 
 # A walk starts at zero; this fraction of its scale is small against anything it can become, and
 # large enough to keep the system well conditioned.
@@ -73,6 +74,8 @@ class Problem:
         For each family, fixed weights of its measurements (graduated non-convexity), or None.
     elimination
         ``"structured"`` or ``"gtsam"``: who factorises the linear systems.
+    shift
+        A shift in time that is held at its optimum, or None.
     """
 
     def __init__(
@@ -88,6 +91,7 @@ class Problem:
         loss: Loss | None = None,
         weights: Sequence[NDArray[np.float64] | None] | None = None,
         elimination: EliminationName = "structured",
+        shift: TimeShift | None = None,
     ) -> None:
         self.motion = motion
         self.knots_s = knots_s
@@ -100,6 +104,7 @@ class Problem:
         self.loss = loss or Loss("none")
         self.weights = list(weights) if weights is not None else [None] * len(self.families)
         self.elimination: EliminationName = elimination
+        self.shift = shift
         self.steps_s = np.diff(knots_s)
         self.layout = ColumnLayout(
             3 * motion.order, walk_scale.size, states.size, chained=knots_s.size > 1
@@ -130,6 +135,7 @@ class Problem:
             "loss": self.loss,
             "weights": self.weights,
             "elimination": self.elimination,
+            "shift": self.shift,
         }
         return Problem(**(arguments | changes))  # type: ignore[arg-type]
 
@@ -189,6 +195,8 @@ class Problem:
         total = float(start @ start + values.constants @ values.constants)
         if self.knots_s.size > 1:
             total += float(np.sum((values.walks[0] / _WALK_START_SIGMA) ** 2))
+        if self.shift is not None:
+            total += self.shift.residual(values.constants) ** 2
         return 0.5 * total
 
     def walk_roots(self) -> NDArray[np.float64]:
@@ -219,6 +227,10 @@ class Problem:
             cost += share
             root = None if information_weight is None else np.sqrt(information_weight)
             total.add(blocks, found, root)
+        if self.shift is not None:
+            first = self.layout.states
+            columns = slice(first, first + self.layout.constants)
+            self.shift.add(blocks[0], columns, values.constants)
         walks = self.walk_scale.size
         start = (values.path[0] - self.prior.mean) / self.prior.sigma
         ratio = self.path_scale / self.prior.sigma

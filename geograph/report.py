@@ -77,7 +77,11 @@ def _marginals(smoother: Smoother) -> Marginals:
 
     elimination = smoother.solution.elimination
     if elimination is not None:
-        return elimination.marginals()
+        problem = smoother.problem
+        found = elimination.marginals()
+        if problem.shift is None:
+            return found
+        return problem.shift.widened(found, problem, smoother.solution.values)
     layout = smoother.problem.layout
     count, d, s = smoother.problem.knots_s.size, layout.knot, layout.constants
     return Marginals(

@@ -192,6 +192,7 @@ class Smoother:
             path_scale=scale,
             loss=loss,
             elimination=settings.elimination,
+            shift=None if motion.static else prepared.shift,
         )
         self._resolution = resolution
         values = Values(state, np.zeros((knots.size, states.diffusion.size)), constants)
@@ -329,6 +330,7 @@ class Smoother:
             loss=problem.loss,
             weights=weights,
             elimination=problem.elimination,
+            shift=problem.shift,
         )
         self._refresh(values)
         self.solution = self._solve(self.problem, values)
