@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 # Sine of the distance from the zenith within which cosines of elevations are rounded off.
 _ZENITH_ROUNDING = 0.02
 
+# Cosine of the elevation below which an azimuth's derivative grows no further.
+_LEAST_COSINE = 1e-7
+
 # Sine of the distance from the point opposite the measured direction that counts as opposite.
 _OPPOSITE = 1e-7
 
@@ -62,18 +65,20 @@ def predict_bearing(
         Shape (n, 3): from the sensor to the object, in the sensor's axes (rows as above), metres.
     jacobian
         Whether the derivative by the line of sight, shape (n, 2, 3), rad/m, is returned too; it is
-        not finite at the zenith, where azimuth is undefined.
+        bounded at the zenith, where azimuth is undefined.
     """
     a, b, c = line_of_sight_m[:, 0], line_of_sight_m[:, 1], line_of_sight_m[:, 2]
     horizontal = np.hypot(a, b)
     value = np.stack([np.arctan2(b, a), np.arctan2(c, horizontal)], axis=1)
     if not jacobian:
         return value, None
-    square = horizontal**2
-    distance2 = square + c**2
+    distance2 = a * a + b * b + c * c
+    # Below this the azimuth is rounding; its derivative stays finite.
+    safe = np.maximum(horizontal, _LEAST_COSINE * np.sqrt(distance2))
+    square = safe**2
     with np.errstate(divide="ignore", invalid="ignore"):
         azimuth = np.stack([-b / square, a / square, np.zeros_like(a)], axis=1)
-        tilt = c / (horizontal * distance2)
+        tilt = c / (safe * distance2)
         elevation = np.stack([-a * tilt, -b * tilt, horizontal / distance2], axis=1)
     return value, np.stack([azimuth, elevation], axis=1)
 

@@ -46,6 +46,7 @@ _MOST_SEGMENTS = 256
 # a multiple of the array in a local frame. The result is then reported as unobservable.
 _NOMINAL_RANGE_M = 100e3
 _NOMINAL_BASELINES = 10.0
+_NOMINAL_LOCAL_RANGE_M = 10e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +149,7 @@ class FirstGuess:
             return _NOMINAL_RANGE_M
         poses = self.geometry.poses(self.bearings.sensor, self.bearings.time_s)
         spread = float(np.linalg.norm(np.ptp(poses.position_m, axis=0)))
-        return _NOMINAL_BASELINES * spread if spread > 0.0 else 1.0
+        return _NOMINAL_BASELINES * spread if spread > 0.0 else _NOMINAL_LOCAL_RANGE_M
 
     def lines(self, clock_s: NDArray[np.float64], index: NDArray[np.int64] | None = None) -> Lines:
         """Return the constraints with every sensor's clock set to a given offset."""

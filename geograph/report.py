@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import chi2
 
-from geograph.observability import weak_directions
+from geograph.observability import WeakDirections, weak_directions
 from geograph.robust import thresholds
 from geograph.solver import Status
 from geograph.track import Residuals, SensorEstimate, Track
@@ -63,6 +63,9 @@ def make_track(smoother: Smoother, *, seconds: float) -> Track:
         marginals=marginals,
     )
     weak = weak_directions(track, smoother.distances())
+    lost = _too_few_left(smoother, out)
+    if lost is not None:
+        weak = WeakDirections([lost, *weak.sentences], unobservable=True)
     status = solution.status
     if weak.unobservable:
         status = Status.UNOBSERVABLE
@@ -231,6 +234,22 @@ def _summary(
         "interpolation": _interpolation(smoother),
         "first_guess": _guesses(smoother),
     }
+
+
+def _too_few_left(smoother: Smoother, out: NDArray[np.bool_]) -> str | None:
+    """Say so where outliers leave nothing to check the path with, or cannot be told apart."""
+    rows = np.where(smoother.bearings.azimuth_only, 1, 2)
+    if smoother.undecided:
+        return (
+            "the bearings contradict each other, and too few agree to tell which are wrong; more "
+            "sensors or more bearings are needed"
+        )
+    if out.any() and rows[~out].sum() <= 3 * smoother.problem.motion.order:
+        return (
+            f"{int(out.sum())} of {out.size} bearings do not fit, and the others are too few to "
+            "check the path with"
+        )
+    return None
 
 
 def _message(status: Status, iterations: int, weak: list[str]) -> str:

@@ -64,6 +64,10 @@ class Smoother:
         Levenberg-Marquardt iterations so far.
     rejected
         Shape (n,): bearings found to be outliers.
+    ignored
+        Share of the information that lies between the knots.
+    undecided
+        Whether outliers show, but not which bearings they are.
     guesses
         First guesses in the order in which they were tried, with the cost that each led to.
     """
@@ -76,6 +80,7 @@ class Smoother:
     rejected: NDArray[np.bool_] = field(init=False)
     guesses: list[tuple[PathFit, float]] = field(default_factory=list)
     ignored: float = 0.0
+    undecided: bool = False
 
     def __post_init__(self) -> None:
         self.rejected = np.zeros(len(self.prepared.bearings), dtype=bool)
@@ -271,7 +276,15 @@ class Smoother:
             self._change(plain.with_weights([weight, *others]))
             return self._squares(self.problem, self.solution.values)
 
+        start = self.solution
         kept = anneal(solved, square, rows, sensor)
+        if rows[kept].sum() < max(0.5 * rows.sum(), 3 * self.problem.motion.order + 1):
+            # What would be left is a minority, or says nothing beyond its own fit: which of the
+            # bearings are wrong cannot be told from them.
+            self.undecided = True
+            self.problem, self.solution = plain.with_weights([None, *others], trial), start
+            self._change(self.problem)
+            return
         self.rejected = ~kept
         weights = [kept.astype(np.float64) if self.rejected.any() else None, *others]
         self._change(plain.with_weights(weights))

@@ -186,6 +186,31 @@ def test_object_at_the_zenith_of_a_sensor() -> None:
     within(track, overhead(0.0))
 
 
+def test_an_azimuth_measured_at_the_very_zenith_says_nothing() -> None:
+    def overhead(t: float) -> Any:
+        del t
+        return np.array([1000.0, 0.0, 500.0])
+
+    made = recording(overhead, range(60), sites=(0, 1, 2), sigma=1e-3, motion="static")
+    assert made.bearings is not None
+    above = made.bearings.sensor == 1
+    made.bearings.elevation_rad[above] = np.pi / 2
+    made.bearings.isotropic[:] = False
+    track = gg.smooth(made, loss="none")
+    within(track, overhead(0.0))
+
+
+def test_few_bearings_that_contradict_each_other_are_not_decided_by_a_minority() -> None:
+    made = recording(still, [0.0, 0.0, 0.0], sites=(0, 1, 2), motion="static")
+    assert made.bearings is not None
+    made.bearings.azimuth_rad[0] += 0.5
+    for loss in ("auto", "gnc", "cauchy", "huber"):
+        track = gg.smooth(made, loss=loss, raise_on_failure=False)
+        wrong = np.linalg.norm(track.position_m[0] - TARGET) > 50.0
+        # Three lines, one of them wrong: whatever is answered is not called converged.
+        assert track.status is gg.Status.UNOBSERVABLE or not wrong
+
+
 def test_wide_knots_are_said_and_added_to_the_noise() -> None:
     def winding(t: float) -> Any:
         return straight(t) + np.array([0.0, 10.0 * np.sin(t / 4.0), 0.0])

@@ -95,7 +95,14 @@ def smooth(
     ] = None,
     max_iterations: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Limit of iterations.", rich_help_panel=_PANEL),
+        typer.Option(metavar="N", help="Limit of iterations of one solve.", rich_help_panel=_PANEL),
+    ] = None,
+    elimination: Annotated[
+        str | None,
+        typer.Option(
+            help="Who factorises the linear systems: structured (our own) or gtsam.",
+            rich_help_panel=_PANEL,
+        ),
     ] = None,
     jobs: Annotated[
         int | None,
@@ -120,6 +127,7 @@ def smooth(
         "spacing_s": spacing,
         "loss": loss,
         "max_iterations": max_iterations,
+        "elimination": elimination,
     }
     request = run_smooth.Request(
         output=output,

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 _LIGHT_TIME_TOLERANCE_S = 1e-6
 _LIGHT_TIME_ROUNDS = 20
 
+# Cosine of the elevation below which a measured azimuth is that of the zenith.
+_ZENITH = 1e-6
+
 
 class BearingFamily(Family):
     """All bearings of a recording.
@@ -103,6 +106,8 @@ class BearingFamily(Family):
         )
         white = np.sqrt(self.weight)[:, None] / sigma
         white[self.azimuth_only, 1] = 0.0
+        # At the zenith a coordinate's azimuth says nothing, however small its sigma.
+        white[~self._tangent & ~self.azimuth_only & (level < _ZENITH), 0] = 0.0
         return np.asarray(white)
 
     def refresh(self, path: Path, values: Values) -> None:
