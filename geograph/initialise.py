@@ -42,6 +42,9 @@ _RANGE_ROUNDS = 6
 _RANGE_TOLERANCE = 1e-3
 _MOST_SEGMENTS = 256
 
+# The flexibility of the most flexible spline needs no more bearings than this.
+_MOST_BEARINGS = 6000
+
 # Where nothing fixes the range, the object is put this far away: a meteor's distance in the sky, or
 # a multiple of the array in a local frame. The result is then reported as unobservable.
 _NOMINAL_RANGE_M = 100e3
@@ -222,9 +225,9 @@ class FirstGuess:
         clock_s
             Shape (sensors,), seconds.
         rows
-            Indices of the bearings to fit; None: all.
+            Indices of the bearings to fit; None: all, or evenly spread ones of very many.
         """
-        lines = self.lines(clock_s, rows)
+        lines = self.lines(clock_s, self._thinned() if rows is None else rows)
         candidates = []
         worse = 0
         for degree, segments in self._flexibilities(lines):
@@ -238,6 +241,15 @@ class FirstGuess:
         best = int(np.argmin(scores))
         chosen = candidates[best]
         return PathFit(chosen.spline, clock_s, float(scores[best]), chosen.range_m, chosen.behind)
+
+    def _thinned(self) -> NDArray[np.int64] | None:
+        """Return bearings spread evenly over every sensor's, where there are more than it takes."""
+        count = len(self.bearings)
+        if count <= _MOST_BEARINGS:
+            return None
+        order = np.lexsort((self.bearings.time_s, self.bearings.sensor))
+        pick = np.unique(np.linspace(0, count - 1, _MOST_BEARINGS).round().astype(np.int64))
+        return np.asarray(order[pick])
 
     def _flexibilities(self, lines: Lines) -> list[tuple[int, int]]:
         """Return (degree, segments) of growing flexibility that the data could determine."""

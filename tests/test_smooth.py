@@ -351,6 +351,20 @@ def test_order_of_rows_does_not_matter() -> None:
     np.testing.assert_allclose(two.position_m, one.position_m, atol=1e-4 * sigma)
 
 
+def test_many_bearings_are_thinned_for_the_first_guess_alone() -> None:
+    made = low_orbit_pass(1, path="j2", bearings=1500)
+    assert made.bearings is not None
+    assert len(made.bearings) > 6000
+    track = gg.smooth(made)
+    assert track.summary["measurements"] == len(made.bearings)
+    assert made.truth is not None
+    middle = len(made.truth) // 2
+    points = track.at(made.truth.time_s[middle])
+    error = points.position_m[0] - made.truth.position_m[middle]
+    nees = error @ np.linalg.solve(points.position_covariance_m2[0], error)
+    assert nees < chi2.ppf(0.9999, 3)
+
+
 def test_sound_in_a_room_is_consistent() -> None:
     nees = []
     for seed in range(30):
