@@ -123,6 +123,10 @@ class Problem:
         """Return the problem with other process noise, sharing all else."""
         return self._copy(motion=motion)
 
+    def without_shift(self) -> Problem:
+        """Return the problem with the clocks' common time left free, sharing all else."""
+        return self if self.shift is None else self._copy(shift=None)
+
     def _copy(self, **changes: object) -> Problem:
         arguments: dict[str, object] = {
             "motion": self.motion,

@@ -408,7 +408,9 @@ def first_problem(recording: Recording, settings: SmoothSettings) -> tuple[Probl
     """
     smoother = Smoother(prepare(recording), settings)
     loss = Loss("none" if smoother.robust else settings.loss)
-    return smoother.start(smoother.first_guess().fits()[0], loss)
+    problem, values = smoother.start(smoother.first_guess().fits()[0], loss)
+    # As it stands: what all clocks have in common is left to their priors.
+    return problem.without_shift(), values
 
 
 def _better(one: Solution, other: Solution) -> bool:
