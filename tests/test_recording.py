@@ -6,7 +6,6 @@ import dataclasses
 import pathlib
 import re
 import shutil
-import time
 import zipfile
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
@@ -369,15 +368,12 @@ def test_the_document_names_every_key_and_column() -> None:
     assert {name for name in names if name not in text} == set()
 
 
-def test_a_long_table_is_read_in_seconds(tmp_path: Path) -> None:
+def test_a_long_table_is_read_whole(tmp_path: Path) -> None:
     count = 200_000
     header = 'format = 1\nframe = "local"\n[sensors.S]\nposition_m = [0, 0, 0]\n'
     rows = (f"{0.001 * i!r},S,{i % 360}.123456789,{i % 90}.5,0.01" for i in range(count))
     table = "time_s,sensor,azimuth_deg,elevation_deg,sigma_deg\n" + "\n".join(rows)
     write_files(tmp_path, {"recording.toml": header, "bearings.csv": table})
-    start = time.process_time()
     recording = gg.read(tmp_path)
-    # 0.3 s on two ordinary cores.
-    assert time.process_time() - start < 4.0
     assert recording.bearings is not None
     assert len(recording.bearings) == count
