@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import time
@@ -43,11 +44,11 @@ def test_a_death_costs_one_item(workers):
 
 
 def test_leaving_early_ends_the_processes():
-    started = time.monotonic()
     running = run_isolated(treat, [("double", 1), ("sleep", 60), ("double", 2)], workers=2)
     assert next(running) == (0, 2)
     running.close()
-    assert time.monotonic() - started < 20.0
+    # The one that sleeps for a minute is not waited for.
+    assert multiprocessing.active_children() == []
 
 
 def test_workers_do_not_multiply_their_threads(monkeypatch):
