@@ -79,7 +79,6 @@ def bearing_factor(
     rotation = np.eye(3) if axes is None else np.asarray(axes, dtype=np.float64)
     if rotation.shape != (3, 3):
         raise InputError(f"axes have shape {rotation.shape}; expected (3, 3)")
-    pair = isinstance(sigma_rad, tuple)
     sigmas = np.array(sigma_rad if isinstance(sigma_rad, tuple) else (sigma_rad, sigma_rad))
     if not (np.isfinite(sigmas).all() and (sigmas > 0.0).all()):
         raise InputError(f"sigma_rad is {sigma_rad}; expected finite numbers above 0")
@@ -87,7 +86,7 @@ def bearing_factor(
     measured = np.array([azimuth_rad, np.nan if elevation_rad is None else elevation_rad])
     if not np.isfinite(measured[:rows]).all():
         raise InputError(f"bearing is {measured[:rows]}; expected finite radians")
-    residual = coordinate_residual if pair or rows == 1 else tangent_residual
+    on_sky = rows == 2 and not isinstance(sigma_rad, tuple)
     weights = np.array([1.0, *np.zeros(2 * order - 1)])
     keys, sizes = [key], [3 * order]
     if next_key is not None:
@@ -109,12 +108,12 @@ def bearing_factor(
         error = vectors[-1] if error_key is not None else np.zeros(2)
         line = (rotation @ (target - position))[None]
         angles = (measured - error)[:, None]
-        if residual is tangent_residual and error_key is not None:
+        if on_sky:
             found = tangent_residual(
                 line, angles[0], angles[1], noise_elevation_rad=measured[1:], jacobian=jacobian
             )
         else:
-            found = residual(line, angles[0], angles[1], jacobian=jacobian)
+            found = coordinate_residual(line, angles[0], angles[1], jacobian=jacobian)
         value = (found.value[0] / sigmas)[:rows]
         if not jacobian:
             return value, []

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import chi2
 
+from geograph.eliminate import Marginals
+from geograph.knots import NEGLIGIBLE
 from geograph.observability import WeakDirections, weak_directions
 from geograph.robust import thresholds
 from geograph.solver import Status
@@ -16,7 +18,6 @@ from geograph.track import Residuals, SensorEstimate, Track
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from geograph.eliminate import Marginals
     from geograph.families import BearingFamily, Evaluation
     from geograph.smoother import Smoother
 
@@ -69,15 +70,13 @@ def make_track(smoother: Smoother, *, seconds: float) -> Track:
     status = solution.status
     if weak.unobservable:
         status = Status.UNOBSERVABLE
-    summary = _summary(smoother, track, found, weak.sentences, status)
+    summary = _summary(smoother, track, found, out=out, weak=weak.sentences, status=status)
     summary["seconds"] = seconds
     return replace(track, status=status, summary=summary)
 
 
 def _marginals(smoother: Smoother) -> Marginals:
     """Return the covariances, not numbers where the problem could not even be factorised."""
-    from geograph.eliminate import Marginals
-
     elimination = smoother.solution.elimination
     if elimination is not None:
         problem = smoother.problem
@@ -201,15 +200,16 @@ def _summary(
     smoother: Smoother,
     track: Track,
     found: list[Evaluation],
+    *,
+    out: NDArray[np.bool_],
     weak: list[str],
     status: Status,
 ) -> dict[str, Any]:
     problem, solution = smoother.problem, smoother.solution
-    out = outliers(smoother, found[0])
     square = float(np.sum(found[0].residual[~out] ** 2))
     square += sum(float(np.sum(part.residual**2)) for part in found[1:])
     prior = 2.0 * problem.prior_cost(solution.values)
-    lost = int(np.sum(np.where(smoother.bearings.azimuth_only, 1, 2)[out]))
+    lost = int(smoother.bearings.row_counts[out].sum())
     freedom = max(problem.measurement_rows - lost - 3 * problem.motion.order, 0)
     noise = problem.motion.density
     return {
@@ -238,7 +238,7 @@ def _summary(
 
 def _too_few_left(smoother: Smoother, out: NDArray[np.bool_]) -> str | None:
     """Say so where outliers leave nothing to check the path with, or cannot be told apart."""
-    rows = np.where(smoother.bearings.azimuth_only, 1, 2)
+    rows = smoother.bearings.row_counts
     if smoother.undecided:
         return (
             "the bearings contradict each other, and too few agree to tell which are wrong; more "
@@ -277,14 +277,10 @@ def outliers(smoother: Smoother, found: Evaluation) -> NDArray[np.bool_]:
     """
     if smoother.problem.loss.name == "none":
         return smoother.rejected
-    rows = np.where(smoother.bearings.azimuth_only, 1, 2)
-    square = _squares(smoother, found)
-    limit = thresholds(square, rows, smoother.prepared.bearings.sensor)
+    family = smoother.bearings
+    square = family.squares(found)
+    limit = thresholds(square, family.row_counts, family.bearings.sensor)
     return np.asarray(smoother.rejected | (square > limit))
-
-
-def _squares(smoother: Smoother, found: Evaluation) -> NDArray[np.float64]:
-    return np.asarray(np.sum(found.residual**2, axis=1) / smoother.bearings.weight)
 
 
 def _rejected(
@@ -293,7 +289,7 @@ def _rejected(
     """Name every rejected bearing, with its residual in sigmas."""
     table = smoother.prepared.bearings
     names = smoother.prepared.recording.sensor_names
-    square = _squares(smoother, found)
+    square = smoother.bearings.squares(found)
     return [
         {
             "sensor": names[table.sensor[index]],
@@ -356,8 +352,6 @@ def _per_sensor(
 
 
 def _interpolation(smoother: Smoother) -> dict[str, Any]:
-    from geograph.knots import NEGLIGIBLE
-
     small = smoother.ignored <= NEGLIGIBLE * 1.5
     text = "negligible between knots"
     if not small:

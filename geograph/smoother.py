@@ -136,12 +136,8 @@ class Smoother:
     def _suspect(self, problem: Problem, values: Values) -> bool:
         """Tell whether a first guess shows residuals far outside those of their sensor."""
         square = self._squares(problem, values)
-        return bool((square > thresholds(square, self._rows, self._sensor)).any())
-
-    @property
-    def _rows(self) -> NDArray[np.int64]:
-        """Residual rows of each bearing, shape (n,)."""
-        return np.where(np.isnan(self.prepared.bearings.elevation_rad), 1, 2)
+        rows = self._family(problem).row_counts
+        return bool((square > thresholds(square, rows, self._sensor)).any())
 
     @property
     def _sensor(self) -> NDArray[np.int64]:
@@ -242,7 +238,11 @@ class Smoother:
     @property
     def bearings(self) -> BearingFamily:
         """The family of the bearings."""
-        family = self.problem.families[0]
+        return self._family(self.problem)
+
+    @staticmethod
+    def _family(problem: Problem) -> BearingFamily:
+        family = problem.families[0]
         assert isinstance(family, BearingFamily)
         return family
 
@@ -253,15 +253,11 @@ class Smoother:
 
     def _squares(self, problem: Problem, values: Values) -> NDArray[np.float64]:
         """Return squared whitened residuals of the bearings, shape (n,)."""
-        found = problem.evaluate(values, jacobian=False)[0]
-        family = problem.families[0]
-        assert isinstance(family, BearingFamily)
-        # Weights for correlation make errors common, not small.
-        return np.asarray(np.sum(found.residual**2, axis=1) / family.weight)
+        return self._family(problem).squares(problem.evaluate(values, jacobian=False)[0])
 
     def _reject(self, trial: Loss) -> None:
         """Find the outliers, if there are any, and solve without them."""
-        rows, sensor = self._rows, self._sensor
+        rows, sensor = self.bearings.row_counts, self._sensor
         others = self.problem.weights[1:]
         plain = self.problem.with_weights([None, *others], Loss("none"))
         square = self._squares(self.problem, self.solution.values)

@@ -76,7 +76,8 @@ class BearingFamily(Family):
         self.position_noise_m = position_noise_m
         self.walk_scale = walk_scale
         self.azimuth_only = np.isnan(bearings.elevation_rad)
-        self.row_count = int(2 * len(bearings) - self.azimuth_only.sum())
+        self.row_counts = np.where(self.azimuth_only, 1, 2)
+        self.row_count = int(self.row_counts.sum())
         self.terms = SensorErrorTerms(states, bearings.sensor, bearings.time_s, walk_scale)
         # An azimuth alone has no tangent plane: its on-sky sigma is that of the coordinate.
         self._tangent = bearings.isotropic & ~self.azimuth_only
@@ -302,6 +303,13 @@ class BearingFamily(Family):
             by_position[:, :, 0] = cosine * by_sight[:, :, 0] - sine * by_sight[:, :, 1]
             by_position[:, :, 1] = sine * by_sight[:, :, 0] + cosine * by_sight[:, :, 1]
         return by_channel, state.chain(place, by_position, None)
+
+    def squares(self, found: Evaluation) -> NDArray[np.float64]:
+        """Return squared whitened residuals, shape (n,), the weights for correlation taken out.
+
+        Such weights make errors common, not small.
+        """
+        return np.asarray(np.sum(found.residual**2, axis=1) / self.weight)
 
     def predicted(
         self, path: Path, values: Values

@@ -13,9 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.path import KinematicPath
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from scipy.interpolate import PPoly
+
+    from geograph.path import Order
+
+_ORDERS: dict[int, Order] = {1: 1, 2: 2, 3: 3}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,47 +47,17 @@ class Knots:
 
         One knot is an object at rest. Velocity is None where the knots have none.
         """
-        from scipy.interpolate import CubicHermiteSpline
-
         inside = np.clip(time_s, self.time_s[0], self.time_s[-1])
         velocity = self.velocity_m_s
         if self.time_s.size == 1:
             still = np.repeat(self.position_m, inside.size, axis=0)
             return still, None if velocity is None else np.repeat(velocity, inside.size, axis=0)
-        if velocity is None:
-            return columns_at(inside, self.time_s, self.position_m), None
-        path: PPoly
-        if self.acceleration_m_s2 is None:
-            path = CubicHermiteSpline(self.time_s, self.position_m, velocity)
-        else:
-            path = _quintic(self.time_s, self.position_m, velocity, self.acceleration_m_s2)
-        return path(inside), path(inside, 1)
-
-
-def _quintic(
-    time_s: NDArray[np.float64],
-    position: NDArray[np.float64],
-    velocity: NDArray[np.float64],
-    acceleration: NDArray[np.float64],
-) -> PPoly:
-    """Return the piecewise polynomial of degree five through position and two derivatives."""
-    from scipy.interpolate import PPoly
-
-    step = np.diff(time_s)[:, None]
-    speed, bend = velocity[:-1] * step, acceleration[:-1] * step**2 / 2.0
-    # What the parabola of the first end leaves to the second: in value, slope and curvature.
-    value = np.diff(position, axis=0) - speed - bend
-    slope = np.diff(velocity, axis=0) * step - 2.0 * bend
-    curvature = np.diff(acceleration, axis=0) * step**2 / 2.0
-    terms = [
-        6.0 * value - 3.0 * slope + curvature,
-        -15.0 * value + 7.0 * slope - 2.0 * curvature,
-        10.0 * value - 4.0 * slope + curvature,
-        bend,
-        speed,
-        position[:-1],
-    ]
-    return PPoly(np.stack([c / step ** (5 - i) for i, c in enumerate(terms)]), time_s)
+        blocks = [self.position_m, velocity, self.acceleration_m_s2]
+        known = [block for block in blocks if block is not None]
+        path = KinematicPath(self.time_s, _ORDERS[len(known)])
+        held = path.at_state(np.concatenate(known, axis=1))
+        position, rate = held.position_velocity(path.locate(inside))
+        return position, None if velocity is None else rate
 
 
 def columns_at(
