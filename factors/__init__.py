@@ -6,27 +6,43 @@ here knows of files, recordings or solvers.
 
 ``bearing`` (azimuth and elevation), ``light_time`` (emission and reception), ``refraction``,
 ``kinematics`` (Gaussian-process priors, transitions, interpolation), ``gravity`` (free fall),
-``constraints`` (height, speed), ``adapter`` (GTSAM's callback), ``standalone`` (factors for
-anybody's graph).
+``arrival`` (light time to moving sensors, Doppler), ``difference`` (of arrival time and received
+frequency), ``constraints`` (height, speed), ``adapter`` (GTSAM's callback), ``standalone``,
+``standalone_radio`` and ``standalone_priors`` (factors for anybody's graph), ``scene`` (receivers
+of radio signals), ``noise`` (of stacked measurements).
 """
 
 from geograph.factors.adapter import FactorError, vector_factor
+from geograph.factors.scene import Receiver
 from geograph.factors.standalone import (
-    altitude_factor,
     ballistic_factor,
     bearing_factor,
     kinematic_factor,
-    prior_factor,
     random_walk_factor,
+)
+from geograph.factors.standalone_priors import altitude_factor, position_fix_factor, prior_factor
+from geograph.factors.standalone_radio import (
+    arrivals_factor,
+    frequency_difference_factor,
+    frequency_differences_factor,
+    time_difference_factor,
+    time_differences_factor,
 )
 
 __all__ = [
     "FactorError",
+    "Receiver",
     "altitude_factor",
+    "arrivals_factor",
     "ballistic_factor",
     "bearing_factor",
+    "frequency_difference_factor",
+    "frequency_differences_factor",
     "kinematic_factor",
+    "position_fix_factor",
     "prior_factor",
     "random_walk_factor",
+    "time_difference_factor",
+    "time_differences_factor",
     "vector_factor",
 ]

@@ -9,13 +9,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-import gtsam
 import numpy as np
 
 from geograph.errors import InputError
 from geograph.factors.adapter import vector_factor
 from geograph.factors.bearing import coordinate_residual, tangent_residual
-from geograph.factors.constraints import altitude
 from geograph.factors.gravity import propagate
 from geograph.factors.kinematics import (
     interpolation_weights,
@@ -24,13 +22,13 @@ from geograph.factors.kinematics import (
     spatial_square_root_derivative,
     transition,
 )
+from geograph.factors.noise import vector3
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
+    import gtsam
     from numpy.typing import ArrayLike, NDArray
 
-Order = Literal[1, 2, 3]
+    from geograph.factors.scene import Order
 
 
 def bearing_factor(
@@ -75,7 +73,7 @@ def bearing_factor(
     InputError
         If a number is not finite, a sigma not positive, or a shape wrong.
     """
-    position = _vector(sensor_m, "sensor_m")
+    position = vector3(sensor_m, "sensor_m")
     rotation = np.eye(3) if axes is None else np.asarray(axes, dtype=np.float64)
     if rotation.shape != (3, 3):
         raise InputError(f"axes have shape {rotation.shape}; expected (3, 3)")
@@ -275,83 +273,3 @@ def random_walk_factor(
         return whiten @ (vectors[1] - vectors[0]), [-whiten, whiten] if jacobian else []
 
     return vector_factor([key, next_key], [size, size], size, function)
-
-
-def altitude_factor(
-    key: int,
-    altitude_m: float,
-    sigma_m: float,
-    *,
-    order: Order = 1,
-    frame: Literal["ecef", "local"] = "ecef",
-) -> gtsam.CustomFactor:
-    """Return the factor of a known height above the ellipsoid (z in a local frame).
-
-    Parameters
-    ----------
-    key
-        The object's state.
-    altitude_m, sigma_m
-        Height and its standard deviation, metres.
-    order
-        Blocks of the state.
-    frame
-        ``"ecef"`` or ``"local"``.
-
-    Raises
-    ------
-    InputError
-        If a number is not finite or the sigma not positive.
-    """
-    if not (np.isfinite(altitude_m) and np.isfinite(sigma_m) and sigma_m > 0.0):
-        raise InputError(
-            f"altitude is {altitude_m} +- {sigma_m} m; expected finite numbers, sigma above 0"
-        )
-
-    def function(
-        vectors: list[NDArray[np.float64]], jacobian: bool
-    ) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
-        height, up = altitude(vectors[0][None, :3], frame)
-        value = (height - altitude_m) / sigma_m
-        if not jacobian:
-            return value, []
-        matrix = np.zeros((1, 3 * order))
-        matrix[0, :3] = up[0] / sigma_m
-        return value, [matrix]
-
-    return vector_factor([key], [3 * order], 1, function)
-
-
-def prior_factor(key: int, mean: ArrayLike, sigmas: Sequence[float]) -> gtsam.PriorFactorVector:
-    """Return a Gaussian prior of a vector with independent components.
-
-    Parameters
-    ----------
-    key
-        The vector's key.
-    mean
-        Shape (n,).
-    sigmas
-        Standard deviations, n of them.
-
-    Raises
-    ------
-    InputError
-        If lengths differ, a mean is not finite or a sigma not positive.
-    """
-    center, spread = np.asarray(mean, dtype=np.float64), np.asarray(sigmas, dtype=np.float64)
-    if center.ndim != 1 or center.shape != spread.shape or not np.isfinite(center).all():
-        raise InputError(
-            f"prior has a mean of shape {center.shape} and sigmas of shape {spread.shape}; "
-            "expected (n,) and n finite numbers each"
-        )
-    if not (np.isfinite(spread).all() and (spread > 0.0).all()):
-        raise InputError(f"prior has sigmas {spread}; expected finite numbers above 0")
-    return gtsam.PriorFactorVector(key, center, gtsam.noiseModel.Diagonal.Sigmas(spread))
-
-
-def _vector(value: ArrayLike, name: str) -> NDArray[np.float64]:
-    vector = np.asarray(value, dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(f"{name} is {value!r}; expected three finite numbers")
-    return vector

@@ -16,13 +16,23 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from geograph.bound_grid import BoundMap, bound_map
+    from geograph.bounds import PathBound, bound
     from geograph.ellipsoids import Ellipsoids
     from geograph.errors import GeographError, InputError, SolveError
     from geograph.graph import GtsamGraph, build
     from geograph.io import read, write
-    from geograph.measurements import Bearings, Constraints, Truth
+    from geograph.measurements import (
+        Arrivals,
+        Bearings,
+        Constraints,
+        FrequencyDifferences,
+        TimeDifferences,
+        Truth,
+    )
     from geograph.recording import Recording, SmoothSettings
     from geograph.sensors import Sensor, SensorErrors, Trajectory
+    from geograph.signal import Signal
     from geograph.smoother import smooth
     from geograph.solver import Status
     from geograph.track import SensorEstimate, Track, TrackPoints
@@ -30,24 +40,32 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Arrivals",
     "Bearings",
+    "BoundMap",
     "Constraints",
     "Ellipsoids",
+    "FrequencyDifferences",
     "GeographError",
     "GtsamGraph",
     "InputError",
+    "PathBound",
     "Recording",
     "Sensor",
     "SensorErrors",
     "SensorEstimate",
+    "Signal",
     "SmoothSettings",
     "SolveError",
     "Status",
+    "TimeDifferences",
     "Track",
     "TrackPoints",
     "Trajectory",
     "Truth",
     "__version__",
+    "bound",
+    "bound_map",
     "build",
     "read",
     "smooth",
@@ -57,23 +75,31 @@ __all__ = [
 # Imported when first asked for: GTSAM and SciPy take most of a second, and neither an error message
 # nor the help of a command needs them.
 _HOMES = {
+    "Arrivals": "geograph.measurements",
     "Bearings": "geograph.measurements",
+    "BoundMap": "geograph.bound_grid",
     "Constraints": "geograph.measurements",
     "Ellipsoids": "geograph.ellipsoids",
+    "FrequencyDifferences": "geograph.measurements",
     "GeographError": "geograph.errors",
     "GtsamGraph": "geograph.graph",
     "InputError": "geograph.errors",
+    "PathBound": "geograph.bounds",
     "Recording": "geograph.recording",
     "Sensor": "geograph.sensors",
     "SensorErrors": "geograph.sensors",
     "SensorEstimate": "geograph.track",
+    "Signal": "geograph.signal",
     "SmoothSettings": "geograph.recording",
     "SolveError": "geograph.errors",
     "Status": "geograph.solver",
+    "TimeDifferences": "geograph.measurements",
     "Track": "geograph.track",
     "TrackPoints": "geograph.track",
     "Trajectory": "geograph.sensors",
     "Truth": "geograph.measurements",
+    "bound": "geograph.bounds",
+    "bound_map": "geograph.bound_grid",
     "build": "geograph.graph",
     "read": "geograph.io",
     "smooth": "geograph.smoother",

@@ -17,9 +17,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import blas
 
+from geograph.common import project
+
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
+    from geograph.common import Common
     from geograph.families import Evaluation
 
 # Bytes of dense rows held at once: as much as stays in a processor's cache between the filling and
@@ -104,29 +109,33 @@ class BlockSum:
         self._knots_scale = np.stack([path_scale, path_scale])
         self._planned: tuple[NDArray[np.int64], ...] | None = None
         self._passes: list[_Pass] = []
+        self._repeated = False
         self._buffer = np.empty((0, 0, 0))
 
     def _plan(self, found: Evaluation) -> None:
         """Divide the measurements into passes, if they are not divided as they are now."""
         now = (found.interval, found.constant_row, found.walk_row)
+        group = None if found.common is None else found.common.group
         if self._planned is not None and all(map(np.array_equal, self._planned, now)):
             return
         self._planned = now
+        # A platform's velocity is felt through its position's and its velocity's channel.
+        place = found.walk_row * max(self.layout.walks, 1) + found.walk_column
+        self._repeated = bool(np.unique(place).size < place.size)
         count, rows = found.residual.shape
         held = max(1, _BUFFER_BYTES // (8 * rows * self.layout.width))
         order = np.argsort(found.interval, kind="stable")
         whole = count <= held and np.array_equal(order, np.arange(count))
-        self._buffer = np.empty((min(held, count), rows, self.layout.width))
         rank = np.empty(count, dtype=np.int64)
         rank[order] = np.arange(count)
         self._passes = []
-        for low in range(0, count, held):
-            part = order[low : low + held]
+        for low, high in _bounds(count, held, None if group is None else group[order]):
+            part = order[low:high]
             interval = found.interval[part]
             edges = np.flatnonzero(np.diff(interval, prepend=-1, append=-1)).tolist()
             runs = [(int(interval[first]), first, end) for first, end in pairwise(edges)]
             everything = slice(None)
-            own = (rank >= low) & (rank < low + held)
+            own = (rank >= low) & (rank < high)
             self._passes.append(
                 _Pass(
                     everything if whole else part,
@@ -136,6 +145,8 @@ class BlockSum:
                     runs,
                 )
             )
+        largest = max((part.runs[-1][2] for part in self._passes), default=0)
+        self._buffer = np.empty((largest, rows, self.layout.width))
 
     def add(
         self, total: NDArray[np.float64], found: Evaluation, root_weight: NDArray[np.float64] | None
@@ -179,10 +190,50 @@ class BlockSum:
         if found.walk_row[entry].size:
             at = part.place[found.walk_row[entry]]
             before = layout.path + found.walk_column[entry]
-            share = found.walk_fraction[entry][:, None]
-            dense[at, :, before] = found.by_walks[entry] * (1.0 - share)
-            dense[at, :, before + layout.knot] = found.by_walks[entry] * share
+            by_walks = found.by_walks[entry]
+            first = by_walks * found.walk_before[entry][:, None]
+            second = by_walks * found.walk_after[entry][:, None]
+            if self._repeated:
+                columns = np.swapaxes(dense, 1, 2)
+                np.add.at(columns, (at, before), first)
+                np.add.at(columns, (at, before + layout.knot), second)
+            else:
+                dense[at, :, before] = first
+                dense[at, :, before + layout.knot] = second
         dense[:, :, -1] = found.residual[part.measurements]
         if root_weight is not None:
             dense *= root_weight[part.measurements][:, None, None]
+        if found.common is not None:
+            self._take_up(dense[:, 0], part, found.common, root_weight)
         return dense
+
+    def _take_up(
+        self,
+        dense: NDArray[np.float64],
+        part: _Pass,
+        common: Common,
+        root_weight: NDArray[np.float64] | None,
+    ) -> None:
+        """Eliminate the unknowns that measurements share from the rows of a pass."""
+        by_common = common.by_common[part.measurements]
+        if root_weight is not None:
+            by_common = by_common * root_weight[part.measurements]
+        group = common.group[part.measurements]
+        start = np.flatnonzero(np.diff(group, prepend=-1))
+        local = np.cumsum(np.diff(group, prepend=-1) != 0) - 1
+        project(dense, by_common, local, start, common.information[group[start]])
+
+
+def _bounds(count: int, held: int, group: NDArray[np.int64] | None) -> Iterator[tuple[int, int]]:
+    """Yield ranges of at most so many measurements, or as many as one group has."""
+    low = 0
+    while low < count:
+        high = min(low + held, count)
+        if group is not None and high < count:
+            # Back to where a group ends, or on to the end of one that is larger than a pass.
+            ends = np.flatnonzero(np.diff(group)) + 1
+            before = ends[(ends > low) & (ends <= high)]
+            after = ends[ends > high]
+            high = int(before[-1]) if before.size else int(after[0]) if after.size else count
+        yield low, high
+        low = high

@@ -29,7 +29,11 @@ if TYPE_CHECKING:
     from geograph.track import Track
 
 EXPECTED_NEES = 3.0
-"""Mean of a chi-square with three degrees of freedom: of the NEES of an honest position."""
+"""Mean of a chi-square with three degrees of freedom: of the NEES of an honest position. In the
+plane, where the height is given, it is two."""
+
+# Knots of an object at rest differ by rounding alone.
+_AT_REST_M = 1e-6
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,11 +48,14 @@ class PathEstimate:
         States at the knots.
     covariance_m2
         Of their positions, shape (k, 3, 3).
+    height_held
+        Whether the height was given, so that it says nothing of the estimate.
     """
 
     frame: Frame
     knots: Knots
     covariance_m2: NDArray[np.float64]
+    height_held: bool = False
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,6 +79,8 @@ class Comparison:
         Shape (n,): normalised estimation error squared, e' P^-1 e; NaN where P is not positive.
     speed_error_m_s
         Shape (n,), or None where either has no velocity.
+    dimensions
+        How many coordinates the NEES counts: 3, or 2 where the height was given.
     """
 
     time_s: NDArray[np.float64]
@@ -81,6 +90,7 @@ class Comparison:
     course_error_m: NDArray[np.float64] | None
     nees: NDArray[np.float64]
     speed_error_m_s: NDArray[np.float64] | None
+    dimensions: int = 3
 
     def figures(self) -> dict[str, Any]:
         """Return the errors in figures, ready for JSON."""
@@ -106,10 +116,12 @@ class Comparison:
             | {"mean": float(self.speed_error_m_s.mean())},
             "nees": {
                 "mean": float(nees.mean()) if nees.size else None,
-                "expected": EXPECTED_NEES,
+                "expected": EXPECTED_NEES * self.dimensions / 3,
                 # Errors along one path go together, so a path counts as a single draw.
-                "band_99": [float(chdtri(3, tail)) for tail in (0.995, 0.005)],
-                "share_within_95": float((nees <= chdtri(3, 0.05)).mean()) if nees.size else None,
+                "band_99": [float(chdtri(self.dimensions, tail)) for tail in (0.995, 0.005)],
+                "share_within_95": float((nees <= chdtri(self.dimensions, 0.05)).mean())
+                if nees.size
+                else None,
             },
         }
 
@@ -132,7 +144,7 @@ def compare(track: Track | Results | PathEstimate, truth: Truth) -> Comparison:
     path = track if isinstance(track, PathEstimate) else _path_of(as_results(track))
     knots = path.knots
     first, last = knots.time_s[0], knots.time_s[-1]
-    # One knot is a path at rest, which holds for all times.
+    # One knot is an object at rest, which holds for all times.
     covered = (truth.time_s >= first) & (truth.time_s <= last) | (knots.time_s.size == 1)
     if not covered.any():
         low, high = truth.time_s.min(), truth.time_s.max()
@@ -148,6 +160,8 @@ def compare(track: Track | Results | PathEstimate, truth: Truth) -> Comparison:
         if path.frame == "ecef"
         else np.broadcast_to(np.eye(3), (len(time), 3, 3))
     )
+    # The frame is local where the height is given.
+    dimensions = 2 if path.height_held else 3
     speed_error = None
     if truth.velocity_m_s is not None and velocity is not None:
         true_speed = np.linalg.norm(truth.velocity_m_s[covered], axis=-1)
@@ -158,8 +172,12 @@ def compare(track: Track | Results | PathEstimate, truth: Truth) -> Comparison:
         error_m=np.einsum("nij,nj->ni", level, error),
         axes=("east", "north", "up") if path.frame == "ecef" else ("x", "y", "z"),
         course_error_m=None if velocity is None else _course(error, velocity, level[:, 2]),
-        nees=_nees(error, columns_at(time, knots.time_s, path.covariance_m2)),
+        nees=_nees(
+            error[:, :dimensions],
+            columns_at(time, knots.time_s, path.covariance_m2)[:, :dimensions, :dimensions],
+        ),
         speed_error_m_s=speed_error,
+        dimensions=dimensions,
     )
 
 
@@ -177,10 +195,12 @@ def read_path(source: Path | str) -> PathEstimate:
     file = source / TRACK if source.is_dir() else source
     fields = load_track(file)
     geodetic = GEODETIC[0] in Table(file, ())
-    return PathEstimate(
-        frame="ecef" if geodetic else "local",
-        knots=Knots(**{entry.name: fields[entry.name] for entry in dataclasses.fields(Knots)}),
-        covariance_m2=fields["position_covariance_m2"],
+    return _settled(
+        PathEstimate(
+            frame="ecef" if geodetic else "local",
+            knots=Knots(**{entry.name: fields[entry.name] for entry in dataclasses.fields(Knots)}),
+            covariance_m2=fields["position_covariance_m2"],
+        )
     )
 
 
@@ -230,10 +250,25 @@ def _figures(size: NDArray[np.float64]) -> dict[str, float]:
 
 
 def _path_of(results: Results) -> PathEstimate:
-    return PathEstimate(
-        frame=results.frame,
-        knots=results.knots(),
-        covariance_m2=results.position_covariance_m2,
+    return _settled(
+        PathEstimate(
+            frame=results.frame,
+            knots=results.knots(),
+            covariance_m2=results.position_covariance_m2,
+            height_held=results.height_held,
+        )
+    )
+
+
+def _settled(path: PathEstimate) -> PathEstimate:
+    """Return an object at rest as one knot, however many its sensors' errors needed."""
+    knots = path.knots
+    if knots.velocity_m_s is not None or np.ptp(knots.position_m, axis=0).max() > _AT_REST_M:
+        return path
+    return dataclasses.replace(
+        path,
+        knots=Knots(time_s=knots.time_s[:1], position_m=knots.position_m[:1]),
+        covariance_m2=path.covariance_m2[:1],
     )
 
 

@@ -13,15 +13,18 @@ import numpy as np
 
 from geograph.constants import EARTH_ROTATION_RAD_S
 from geograph.errors import InputError
+from geograph.factors.arrival import SensorMotion
 from geograph.geodesy import enu_axes, enu_axes_rate
+from geograph.platforms import best_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
+    from geograph.platforms import StraightLine
     from geograph.recording import Frame
-    from geograph.sensors import Sensor
+    from geograph.sensors import Sensor, Trajectory
 
 # East, north, up to north, east, up.
 _NORTH_EAST_UP = np.array([1, 0, 2])
@@ -75,6 +78,8 @@ class SensorGeometry:
         self._position = np.zeros((count, 3))
         self._axes = np.zeros((count, 3, 3))
         self._moving = np.zeros(count, dtype=bool)
+        # A platform whose path is estimated is counted from the line that its fixes fit best.
+        self._movers: dict[int, Trajectory | StraightLine] = {}
         for index, sensor in enumerate(sensors):
             if sensor.axes not in ("enu", "xyz"):
                 raise InputError(
@@ -84,6 +89,12 @@ class SensorGeometry:
             self._axes[index] = np.eye(3)
             if sensor.trajectory is not None:
                 self._moving[index] = True
+                fixes = sensor.trajectory
+                self._movers[index] = (
+                    fixes
+                    if sensor.platform_process_noise is None
+                    else best_line(fixes.time_s, fixes.position_m)
+                )
                 continue
             assert sensor.position_m is not None
             self._position[index] = sensor.position_m
@@ -105,13 +116,29 @@ class SensorGeometry:
         rate: NDArray[np.float64] | None = None
         for index in np.flatnonzero(self._moving & np.isin(np.arange(self._moving.size), sensor)):
             rows = np.flatnonzero(sensor == index)
-            mover = self.sensors[int(index)]
+            mover, sensor_axes = self._movers[int(index)], self.sensors[int(index)].axes
             position[rows] = mover.position_at(time_s[rows])
             velocity[rows] = mover.velocity_at(time_s[rows])
-            if mover.axes == "enu":
+            if sensor_axes == "enu":
                 axes[rows] = self._enu(position[rows])
                 if self.frame == "ecef":
                     rate = np.zeros_like(axes) if rate is None else rate
                     turning = enu_axes_rate(position[rows], velocity[rows])
                     rate[rows] = turning[:, _NORTH_EAST_UP]
         return SensorPoses(position, velocity, axes, rate)
+
+    def motion(self, sensor: NDArray[np.int64], time_s: NDArray[np.float64]) -> SensorMotion:
+        """Return how sensors (indices, shape (n,)) move at times (shape (n,), seconds)."""
+        position = self._position[sensor]
+        velocity, acceleration = np.zeros_like(position), np.zeros_like(position)
+        for index, mover in self._movers.items():
+            rows = np.flatnonzero(sensor == index)
+            if rows.size:
+                position[rows] = mover.position_at(time_s[rows])
+                velocity[rows] = mover.velocity_at(time_s[rows])
+                acceleration[rows] = mover.acceleration_at(time_s[rows])
+        return SensorMotion(position, velocity, acceleration)
+
+    def moves(self, sensor: NDArray[np.int64]) -> bool:
+        """Tell whether any of some sensors moves."""
+        return bool(self._moving[sensor].any())

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import gtsam
 import numpy as np
 
+from geograph.common import project, settled
 from geograph.errors import InputError
 from geograph.factors.adapter import vector_factor
 from geograph.families import Values
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from geograph.common import Common
     from geograph.families import Evaluation, Family
     from geograph.path import Path
     from geograph.problem import Problem
@@ -157,6 +159,11 @@ def graph_of(problem: Problem, values: Values, *, stacking: Stacking = "interval
             "a static object with random walks has no process noise that GTSAM could whiten; "
             "use constant-position with a small process_noise"
         )
+    if any(platform.process_noise == 0.0 for platform in problem.states.platforms):
+        raise InputError(
+            "a platform_process_noise of 0 leaves no noise that GTSAM could whiten; give it a "
+            "small positive value"
+        )
     graph = gtsam.NonlinearFactorGraph()
     built = GtsamGraph(graph, gtsam.Values(), problem, values)
     for factor in _prior_factors(problem, values):
@@ -182,7 +189,7 @@ def _prior_factors(problem: Problem, origin: Values) -> Iterator[gtsam.Nonlinear
 def _transition_factors(problem: Problem, origin: Values) -> Iterator[gtsam.NonlinearFactor]:
     """Yield one factor for every pair of neighbouring knots: path and walks together."""
     d, m = problem.layout.knot, problem.layout.path
-    roots = problem.walk_roots() if d > m else np.zeros((problem.steps_s.size, 0))
+    chain, roots = problem.chains()
     for k, step in enumerate(problem.steps_s):
 
         def function(
@@ -194,17 +201,18 @@ def _transition_factors(problem: Problem, origin: Values) -> Iterator[gtsam.Nonl
             both = np.stack(vectors)
             path = origin.path[k : k + 2] + both[:, :m] * problem.path_scale
             found = problem.motion.transitions(path, np.array([step]))
-            walk = (both[1, m:] - both[0, m:]) / roots[k]
+            whiten = np.linalg.inv(roots[k])
+            walk = whiten @ (both[1, m:] - chain[k] @ both[0, m:])
             value = np.concatenate([found.residual[0], walk])
             if not jacobian:
                 return value, []
             by_second = np.zeros((d, d))
             by_second[:m, :m] = np.linalg.inv(found.noise_root[0]) * problem.path_scale
-            by_second[range(m, d), range(m, d)] = 1.0 / roots[k]
+            by_second[m:, m:] = whiten
             scaled = found.transition[0] * problem.path_scale / problem.path_scale[:, None]
             by_first = np.zeros((d, d))
             by_first[:m, :m] = -by_second[:m, :m] @ scaled
-            by_first[range(m, d), range(m, d)] = -1.0 / roots[k]
+            by_first[m:, m:] = -whiten @ chain[k]
             return value, [by_first, by_second]
 
         yield vector_factor([knot_key(k), knot_key(k + 1)], [d, d], d, function)
@@ -217,12 +225,15 @@ def _measurement_factors(
     weight: NDArray[np.float64] | None,
     stacking: Stacking,
 ) -> Iterator[gtsam.NonlinearFactor]:
-    interval = family.evaluate(
+    found = family.evaluate(
         problem.path, problem.path.at_state(origin.path, jacobian=False), origin, jacobian=False
-    ).interval
+    )
+    interval = found.interval
     groups = [np.flatnonzero(interval == k) for k in np.unique(interval)]
     if stacking == "measurement":
-        groups = [np.array([index]) for group in groups for index in group]
+        # What shares an unknown stays together.
+        tied = np.arange(interval.size) if found.common is None else found.common.group
+        groups = [np.flatnonzero(tied == k) for k in np.unique(tied)]
     for group in groups:
         part = None if weight is None else weight[group]
         if part is not None and not part.any():
@@ -260,6 +271,7 @@ def _stacked(
         values = Values(start + both[:, :m] * problem.path_scale, both[:, m:], constants)
         state = path.at_state(values.path, jacobian=jacobian)
         found = family.evaluate(path, state, values, jacobian=jacobian)
+        found = settled(found, weight, problem.loss)
         square = np.einsum("ij,ij->i", found.residual, found.residual)
         cost, slope = problem.loss.value_and_weight(square)
         if weight is not None:
@@ -268,16 +280,28 @@ def _stacked(
         # GTSAM then finds the same minimum. Without a loss both factors are one.
         scale = np.sqrt(np.divide(cost, square, out=slope.copy(), where=square > 0.0))
         error = (found.residual * scale[:, None]).ravel()
-        if not jacobian:
-            return error, []
         share = np.divide(slope, scale, out=np.zeros_like(slope), where=scale > 0.0)
+        common = found.common
+        if not jacobian:
+            if common is not None:
+                _project(error[:, None], common, share)
+            return error, []
         dense = _dense_rows(problem, found) * np.repeat(share, family.rows)[:, None]
+        if common is not None:
+            both_columns = np.column_stack([dense, error])
+            _project(both_columns, common, share)
+            dense, error = both_columns[:, :-1], both_columns[:, -1]
         parts = [dense[:, k * d : (k + 1) * d] for k in range(knots)]
         offset = knots * d
         parts += [dense[:, [offset + column for column in entry]] for entry in columns.values()]
         return error, parts
 
     return vector_factor(keys, sizes, rows, function)
+
+
+def _project(rows: NDArray[np.float64], common: Common, share: NDArray[np.float64]) -> None:
+    """Eliminate the unknowns that measurements share from weighted rows, in place."""
+    project(rows, common.by_common * share, common.group, common.start, common.information)
 
 
 def _touched(problem: Problem, family: Family, path: Path, values: Values) -> list[int]:
@@ -300,7 +324,9 @@ def _dense_rows(problem: Problem, found: Evaluation) -> NDArray[np.float64]:
     dense[found.constant_row, :, layout.states + found.constant_column] = found.by_constants
     if found.walk_row.size:
         column = layout.path + found.walk_column
-        share = found.walk_fraction[:, None]
-        dense[found.walk_row, :, column] = found.by_walks * (1.0 - share)
-        dense[found.walk_row, :, column + layout.knot] = found.by_walks * share
+        columns = np.swapaxes(dense, 1, 2)
+        before = found.by_walks * found.walk_before[:, None]
+        after = found.by_walks * found.walk_after[:, None]
+        np.add.at(columns, (found.walk_row, column), before)
+        np.add.at(columns, (found.walk_row, column + layout.knot), after)
     return dense.reshape(count * rows, -1)

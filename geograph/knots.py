@@ -7,7 +7,8 @@ measurements, stays below one percent:
     q^2 c h^(2m-1) (n h / T) / sigma^2 <= 0.01,
 
 with the density q^2, the order m, c the conditional variance in the middle of a unit interval, n
-measurements in the time T, and sigma the median of angular sigma times distance.
+measurements in the time T, and sigma the median of angular sigma times distance. Where frequencies
+resolve the velocity, the same holds for its conditional variance, q^2 d h^(2m-3).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 from geograph.errors import InputError
 from geograph.factors.kinematics import conditional_covariance
 from geograph.path import BallisticPath
+from geograph.states import CLOCK
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,6 +36,9 @@ NEGLIGIBLE = 0.01
 # Bytes per knot are about this many times the square of its unknowns (blocks, roots, covariances).
 _BYTES_PER_SQUARE = 8 * 6
 _FEWEST_INTERVALS = 4
+
+# Share of the spacing within which times of emission need no knots of their own.
+_CLOSE = 0.1
 
 
 @dataclass(frozen=True)
@@ -50,12 +55,17 @@ class Resolution:
         Typical sigma of one of them, across the line of sight, metres.
     sigma_rad
         Typical angular sigma.
+    velocity_rate, clock_rate
+        Information about the velocity, 1/((m/s)^2 s), and about the sensors' clocks, 1/s^3, gained
+        per second.
     """
 
     count: int
     span_s: float
     sigma_m: float
     sigma_rad: float
+    velocity_rate: float = 0.0
+    clock_rate: float = 0.0
 
     @property
     def rate(self) -> float:
@@ -67,22 +77,42 @@ def ignored_share(motion: Motion, spacing_s: float, resolution: Resolution) -> f
     """Return the conditional variance of an interval times the information of its measurements."""
     if motion.static:
         return 0.0
-    unit = float(conditional_covariance(motion.order, np.array(1.0), np.array(0.5))[0, 0])
-    variance = motion.density.largest**2 * unit * spacing_s ** (2 * motion.order - 1)
-    return variance * resolution.rate * spacing_s
+    return sum(_ignored_shares(motion, spacing_s, resolution))
+
+
+def _ignored_shares(motion: Motion, spacing_s: float, resolution: Resolution) -> list[float]:
+    """Return the shares of position and velocity; they grow with h^(2m) and h^(2m-2)."""
+    unit = conditional_covariance(motion.order, np.array(1.0), np.array(0.5))
+    rates = [resolution.rate, resolution.velocity_rate][: motion.order]
+    scale = motion.density.largest**2
+    return [
+        scale * float(unit[i, i]) * spacing_s ** (2 * (motion.order - i)) * rate
+        for i, rate in enumerate(rates)
+    ]
 
 
 def automatic_spacing(motion: Motion, states: SensorStates, resolution: Resolution) -> float:
     """Return the widest spacing at which interpolation is negligible, seconds."""
     spacing = resolution.span_s / _FEWEST_INTERVALS
-    share = ignored_share(motion, 1.0, resolution)
-    if share > 0.0:
-        spacing = min(spacing, (NEGLIGIBLE / share) ** (1.0 / (2 * motion.order)))
-    if states.diffusion.size:
+    shares = [] if motion.static else _ignored_shares(motion, 1.0, resolution)
+    for i, share in enumerate(shares):
+        if share > 0.0:
+            spacing = min(spacing, (NEGLIGIBLE / share) ** (0.5 / (motion.order - i)))
+    for walk in states.walks:
         # A walk interpolated linearly misses a Brownian bridge of variance D^2 h / 4.
-        largest = float(states.diffusion.max())
-        rate = resolution.count / (resolution.span_s * resolution.sigma_rad**2)
-        spacing = min(spacing, float(np.sqrt(4.0 * NEGLIGIBLE / (largest**2 * rate))))
+        angle_rate = resolution.count / (resolution.span_s * resolution.sigma_rad**2)
+        rate = resolution.clock_rate if walk.channel == CLOCK else angle_rate
+        if rate > 0.0:
+            widest = float(np.sqrt(4.0 * NEGLIGIBLE / rate)) / walk.diffusion
+            spacing = min(spacing, widest)
+    for platform in states.platforms:
+        # The platform's own deviation between knots against its fixes.
+        inside = np.median(np.diff(platform.time_s)) * platform.sigma_m**2
+        share = platform.process_noise**2 * float(
+            conditional_covariance(2, np.array(1.0), np.array(0.5))[0, 0]
+        )
+        if share > 0.0:
+            spacing = min(spacing, float((NEGLIGIBLE * inside / share) ** 0.25))
     if motion.ballistic:
         spacing = min(spacing, BallisticPath.LONGEST_STEP_S)
     return spacing
@@ -111,9 +141,8 @@ def place_knots(
     count = int(np.ceil((high - low) / spacing_s - 1e-9)) + 1
     distinct = np.unique(times_s)
     if automatic and 4 <= distinct.size < count:
-        gaps = np.diff(distinct)
-        # Times closer than a thousandth of the typical gap share a knot.
-        keep = np.concatenate([[True], gaps > 1e-3 * np.median(gaps)])
+        # Times that are close for the spacing share a knot, which is then as good as at both.
+        keep = np.concatenate([[True], np.diff(distinct) > _CLOSE * spacing_s])
         keep[-1] = True
         if keep.sum() >= 4:
             return np.asarray(distinct[keep])

@@ -63,6 +63,148 @@ class Bearings:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Arrivals:
+    """Times at which emissions of the object arrived at sensors.
+
+    Parameters
+    ----------
+    emission
+        Shape (n,), integer: rows with the same number heard the same emission, whose time is not
+        known. A sensor that did not hear it has no row.
+    sensor
+        Shape (n,), integer: index of the sensor.
+    toa_s
+        Shape (n,): time of arrival by the sensor's own clock, seconds after the epoch.
+    sigma_s
+        Shape (n,): standard deviation of one arrival time, seconds.
+    emission_names
+        What the file calls each emission, by its number; empty: the numbers themselves.
+    line
+        Shape (n,), integer: line in the file, or 0.
+
+    Raises
+    ------
+    InputError
+        If the columns' lengths differ, or a sigma is not above zero.
+    """
+
+    emission: NDArray[np.int64]
+    sensor: NDArray[np.int64]
+    toa_s: NDArray[np.float64]
+    sigma_s: NDArray[np.float64]
+    line: NDArray[np.int64]
+    emission_names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        _check_lengths(self)
+        _check_positive(self, "sigma_s")
+
+    def __len__(self) -> int:
+        return int(self.toa_s.size)
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Shape (n,): the arrival times, as the time tags that every table has."""
+        return self.toa_s
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TimeDifferences:
+    """Differences of arrival time: tdoa = arrival(sensor) - arrival(reference).
+
+    Parameters
+    ----------
+    time_s
+        Shape (n,): time of arrival at the reference, by the reference's clock.
+    sensor, reference
+        Shape (n,), integer: indices of the two sensors.
+    tdoa_s
+        Shape (n,), seconds.
+    sigma_s
+        Shape (n,): standard deviation of the difference.
+    sigma_reference_s
+        Shape (n,): the part of it that the reference's own arrival brought in, common to all rows
+        of the same time and reference; zero: rows are independent.
+    line
+        Shape (n,), integer: line in the file, or 0.
+
+    Raises
+    ------
+    InputError
+        If the columns' lengths differ, a sigma is not above zero, or the reference's part of it is
+        not below it.
+    """
+
+    time_s: NDArray[np.float64]
+    sensor: NDArray[np.int64]
+    reference: NDArray[np.int64]
+    tdoa_s: NDArray[np.float64]
+    sigma_s: NDArray[np.float64]
+    sigma_reference_s: NDArray[np.float64]
+    line: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        _check_lengths(self)
+        _check_positive(self, "sigma_s")
+        _check_share(self, "sigma_reference_s", "sigma_s")
+
+    def __len__(self) -> int:
+        return int(self.time_s.size)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrequencyDifferences:
+    """Differences of received frequency: fdoa = received(sensor) - received(reference).
+
+    Parameters
+    ----------
+    time_s
+        Shape (n,): time of arrival at the reference, by the reference's clock.
+    sensor, reference
+        Shape (n,), integer: indices of the two sensors.
+    fdoa_hz
+        Shape (n,), hertz.
+    carrier_hz
+        Shape (n,): frequency that the object emits, above zero.
+    sigma_hz
+        Shape (n,): standard deviation of the difference.
+    sigma_reference_hz
+        Shape (n,): the part of it that the reference brought in, common to all rows of the same
+        time and reference; zero: rows are independent.
+    line
+        Shape (n,), integer: line in the file, or 0.
+
+    Raises
+    ------
+    InputError
+        If the columns' lengths differ, a sigma or a carrier is not above zero, or the reference's
+        part of a sigma is not below it.
+    """
+
+    time_s: NDArray[np.float64]
+    sensor: NDArray[np.int64]
+    reference: NDArray[np.int64]
+    fdoa_hz: NDArray[np.float64]
+    carrier_hz: NDArray[np.float64]
+    sigma_hz: NDArray[np.float64]
+    sigma_reference_hz: NDArray[np.float64]
+    line: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        _check_lengths(self)
+        _check_positive(self, "sigma_hz")
+        _check_positive(self, "carrier_hz")
+        _check_share(self, "sigma_reference_hz", "sigma_hz")
+
+    def __len__(self) -> int:
+        return int(self.time_s.size)
+
+
+Measurements = Bearings | Arrivals | TimeDifferences | FrequencyDifferences
+"""Any table of measurements."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Constraints:
     """What is known of the path itself.
 
@@ -127,11 +269,35 @@ class Truth:
         return int(self.time_s.size)
 
 
-def _check_lengths(table: Bearings | Constraints | Truth) -> None:
-    lengths = {name: len(column) for name, column in vars(table).items() if column is not None}
+def _check_lengths(table: Measurements | Constraints | Truth) -> None:
+    lengths = {
+        name: len(column)
+        for name, column in vars(table).items()
+        if column is not None and name != "emission_names"
+    }
     if len(set(lengths.values())) != 1:
         raise InputError(
             f"columns of {type(table).__name__} differ in length ({lengths}); expected one length"
         )
     if isinstance(table.time_s, np.ndarray) and table.time_s.ndim != 1:
         raise InputError(f"time_s has shape {table.time_s.shape}; expected one dimension")
+
+
+def _check_positive(table: Measurements, name: str) -> None:
+    column = getattr(table, name)
+    if not (column > 0.0).all():
+        row = int(np.argmin(column > 0.0))
+        raise InputError(
+            f"{name} of {type(table).__name__} is {column[row]} in row {row}; expected above 0"
+        )
+
+
+def _check_share(table: Measurements, part: str, whole: str) -> None:
+    share, total = getattr(table, part), getattr(table, whole)
+    good = (share >= 0.0) & (share < total)
+    if not good.all():
+        row = int(np.argmin(good))
+        raise InputError(
+            f"{part} of {type(table).__name__} is {share[row]} in row {row}, beside {whole} "
+            f"{total[row]}; expected at least 0 and below {whole}, of which it is a part"
+        )

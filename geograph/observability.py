@@ -45,7 +45,9 @@ class WeakDirections:
     unobservable: bool
 
 
-def weak_directions(track: Track, distance_m: NDArray[np.float64]) -> WeakDirections:
+def weak_directions(
+    track: Track, distance_m: NDArray[np.float64], *, curvature: bool = True
+) -> WeakDirections:
     """Probe the posterior for directions of the position that the data leave open.
 
     Parameters
@@ -54,6 +56,9 @@ def weak_directions(track: Track, distance_m: NDArray[np.float64]) -> WeakDirect
         With marginal covariances of knots and sensor states.
     distance_m
         Shape (n,): distances of the object from the sensors.
+    curvature
+        Whether to probe for a curved posterior, which needs measurements taken: away from the
+        minimum the cost rises on one side for other reasons.
     """
     covariance = track.position_covariance_m2
     if not np.isfinite(covariance).all():
@@ -69,7 +74,7 @@ def weak_directions(track: Track, distance_m: NDArray[np.float64]) -> WeakDirect
         weak = sigma > WEAK_SHARE * distance
         share = f"for {100.0 * weak.mean():.0f} % of the path, at worst"
         sentences.append(_sentence(track, worst, share))
-    bent = _bent_knot(track, distance)
+    bent = _bent_knot(track, distance) if curvature else None
     if not unobservable and bent is not None:
         rise = cost_rise(track, bent)
         if rise > CURVED_RISE:
@@ -165,7 +170,7 @@ def _partners(track: Track, knot: int, direction: NDArray[np.float64], sigma: fl
     names = track.recording.sensor_names
     order = np.argsort(-correlation)[:3]
     return [
-        f"the {states[i].name.replace('_', ' ')} of {names[states[i].sensor]}"
+        f"the {states[i].name.replace('_', ' ')} of {track.problem.states.owner(int(i), names)}"
         for i in order
         if correlation[i] > _TRADE_OFF
     ]

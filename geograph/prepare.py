@@ -9,15 +9,26 @@ import numpy as np
 
 from geograph.errors import InputError
 from geograph.factors.refraction import refraction
-from geograph.families import AltitudeFamily, BearingFamily, Family, SpeedFamily
+from geograph.families import (
+    AltitudeFamily,
+    ArrivalFamily,
+    BearingFamily,
+    FixFamily,
+    FrequencyDifferenceFamily,
+    SpeedFamily,
+    TimeDifferenceFamily,
+    World,
+)
 from geograph.frames import SensorGeometry
+from geograph.measurements import Arrivals, Bearings, FrequencyDifferences, TimeDifferences
 from geograph.states import SensorStates
 from geograph.time_shift import TimeShift, time_shift
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from geograph.measurements import Bearings
+    from geograph.families import Family, SensorFamily
+    from geograph.measurements import Measurements
     from geograph.recording import Recording
     from geograph.sensors import Sensor
 
@@ -34,7 +45,7 @@ class Prepared:
     recording
         What was given.
     bearings
-        Its bearings, free of refraction.
+        Its bearings, free of refraction; None if there are none.
     sensors
         In the order of their indices.
     geometry
@@ -42,13 +53,13 @@ class Prepared:
     states
         Sensor-error states of the sensors that measured something.
     walk_scale
-        Shape (w,): what each walk's diffusion adds over the pass, SI.
+        Shape (w,): scales of the chains, SI.
     shift
         A shift in time that only the clocks' priors determine, or None.
     """
 
     recording: Recording
-    bearings: Bearings
+    bearings: Bearings | None
     sensors: tuple[Sensor, ...]
     geometry: SensorGeometry
     states: SensorStates
@@ -58,22 +69,80 @@ class Prepared:
     @property
     def span_s(self) -> float:
         """Time from the first to the last measurement; at least a second."""
-        return _span(self.bearings)
+        return _span(self.recording)
+
+    def sensor_families(self) -> list[SensorFamily]:
+        """Return fresh families of all that sensors measured."""
+        recording = self.recording
+        families: list[SensorFamily] = []
+        if self.bearings is not None:
+            families.append(
+                BearingFamily(
+                    self.bearings,
+                    geometry=self.geometry,
+                    states=self.states,
+                    walk_scale=self.walk_scale,
+                    speed_m_s=recording.propagation_speed_m_s,
+                    weight=correlation_weights(self.bearings, self.sensors),
+                    position_noise_m=self._position_noise(self.bearings.sensor),
+                )
+            )
+        world = World(self.geometry, self.states, self.walk_scale, recording.propagation_speed_m_s)
+        arrivals = recording.tables.get("arrivals")
+        if isinstance(arrivals, Arrivals):
+            families.append(
+                ArrivalFamily(
+                    arrivals,
+                    world=world,
+                    weight=correlation_weights(arrivals, self.sensors),
+                    position_noise_m=self._position_noise(arrivals.sensor),
+                )
+            )
+        families += [
+            self._differences(table, world)
+            for table in recording.tables.values()
+            if isinstance(table, (TimeDifferences, FrequencyDifferences))
+        ]
+        return families
+
+    def _differences(
+        self, table: TimeDifferences | FrequencyDifferences, world: World
+    ) -> SensorFamily:
+        weight = correlation_weights(table, self.sensors)
+        noise = self._position_noise(table.sensor), self._position_noise(table.reference)
+        if isinstance(table, TimeDifferences):
+            return TimeDifferenceFamily(table, world=world, weight=weight, position_noise_m=noise)
+        return FrequencyDifferenceFamily(table, world=world, weight=weight, position_noise_m=noise)
+
+    def _position_noise(self, sensor: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return white position errors; a platform's are those of its fixes."""
+        noise = [
+            0.0 if sensor.platform_process_noise is not None else sensor.errors.position_noise_m
+            for sensor in self.sensors
+        ]
+        return np.array(noise)[sensor]
+
+    def fix_times(self) -> NDArray[np.float64]:
+        """Return the times of the platforms' fixes that are used, shape (n,)."""
+        times = [p.time_s[self._used(p.time_s)] for p in self.states.platforms]
+        return np.concatenate([np.empty(0), *times])
+
+    def _used(self, time_s: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return which fixes lie between the first and the last measurement, and one beyond."""
+        low, high = self.recording.time_span_s
+        first = max(int(np.searchsorted(time_s, low, side="right")) - 1, 0)
+        last = min(int(np.searchsorted(time_s, high, side="left")) + 1, time_s.size)
+        return np.arange(first, last)
 
     def families(self, knots_s: NDArray[np.float64]) -> list[Family]:
-        """Return fresh families of all measurements, for a path over given knots."""
-        families: list[Family] = [
-            BearingFamily(
-                self.bearings,
-                geometry=self.geometry,
-                states=self.states,
-                walk_scale=self.walk_scale,
-                speed_m_s=self.recording.propagation_speed_m_s,
-                weight=correlation_weights(self.bearings, self.sensors),
-                position_noise_m=np.array(
-                    [sensor.errors.position_noise_m for sensor in self.sensors]
-                )[self.bearings.sensor],
-            )
+        """Return fresh families of all measurements, for a path over given knots.
+
+        Those of the sensors come first.
+        """
+        families: list[Family] = [*self.sensor_families()]
+        families += [
+            FixFamily(platform, self.states, self.walk_scale, self._used(platform.time_s))
+            for platform in self.states.platforms
         ]
         table = self.recording.constraints
         if table is None:
@@ -103,49 +172,66 @@ def prepare(recording: Recording) -> Prepared:
     Raises
     ------
     InputError
-        If it has no bearing, a sensor with axes that are not supported, or a constraint at a time
-        when nothing was measured yet or any more.
+        If it has no measurement, a sensor with axes that are not supported, a constraint at a time
+        when nothing was measured yet or any more, or arrivals whose signals take no time.
     """
-    table = recording.bearings
-    if table is None or not len(table):
+    tables = recording.tables
+    if not tables:
         raise InputError(
-            f"recording {recording.name!r} has no measurement; expected at least one bearing",
+            f"recording {recording.name!r} has no measurement; expected at least one bearing, "
+            "arrival, time difference or frequency difference",
+            path=recording.path,
+        )
+    if set(tables) != {"bearings"} and not np.isfinite(recording.propagation_speed_m_s):
+        raise InputError(
+            f"recording {recording.name!r} has {', '.join(n for n in tables if n != 'bearings')} "
+            "and propagation_speed_m_s = inf; expected a finite speed for these",
             path=recording.path,
         )
     sensors = tuple(recording.sensors.values())
-    bearings = without_refraction(table, sensors)
-    active = [int(index) for index in np.unique(bearings.sensor)]
+    table = tables.get("bearings")
+    bearings = without_refraction(table, sensors) if isinstance(table, Bearings) else None
+    used = [column for table in tables.values() for column in _sensor_columns(table)]
+    active = [int(index) for index in np.unique(np.concatenate(used))]
     _check_constraint_times(recording, [sensors[index] for index in active])
-    states = SensorStates(sensors, active, float(bearings.time_s.min()))
-    walk_scale = states.diffusion * np.sqrt(_span(bearings))
+    states = SensorStates(
+        sensors, active, recording.time_span_s[0], recording.propagation_sigma_m_s
+    )
     geometry = SensorGeometry(sensors, recording.frame)
     shift = time_shift(states, sensors, active, recording.constraints)
-    return Prepared(recording, bearings, sensors, geometry, states, walk_scale, shift)
+    scale = states.chain_scale(_span(recording))
+    return Prepared(recording, bearings, sensors, geometry, states, scale, shift)
+
+
+def _sensor_columns(table: Measurements) -> list[NDArray[np.int64]]:
+    if isinstance(table, (TimeDifferences, FrequencyDifferences)):
+        return [table.sensor, table.reference]
+    return [table.sensor]
 
 
 def _check_constraint_times(recording: Recording, sensors: list[Sensor]) -> None:
     """Refuse constraints beyond the path, which they would bend at its end."""
-    table, bearings = recording.constraints, recording.bearings
-    if table is None or bearings is None:
+    table = recording.constraints
+    if table is None:
         return
     # Time tags may be off by as much as the clocks.
     margin = _CLOCK_SIGMAS * max(sensor.errors.clock_offset_s for sensor in sensors)
-    first, last = float(bearings.time_s.min()), float(bearings.time_s.max())
+    first, last = recording.time_span_s
     # Empty times, which are NaN, are of the whole path.
     beyond = (table.time_s < first - margin) | (table.time_s > last + margin)
     if beyond.any():
         index = int(np.argmax(beyond))
         raise InputError(
             f"constraints, line {table.line[index]}, column time_s: {table.time_s[index]:.10g}, "
-            f"and the bearings are from {first:.10g} to {last:.10g} s; expected a time among them, "
-            "or an empty cell for the whole path",
+            f"and the measurements are from {first:.10g} to {last:.10g} s; expected a time among "
+            "them, or an empty cell for the whole path",
             path=recording.path,
         )
 
 
-def _span(bearings: Bearings) -> float:
-    span = float(np.ptp(bearings.time_s))
-    return span if span > 0.0 else 1.0
+def _span(recording: Recording) -> float:
+    first, last = recording.time_span_s
+    return last - first if last > first else 1.0
 
 
 def without_refraction(bearings: Bearings, sensors: tuple[Sensor, ...]) -> Bearings:
@@ -158,7 +244,7 @@ def without_refraction(bearings: Bearings, sensors: tuple[Sensor, ...]) -> Beari
     return replace(bearings, elevation_rad=elevation)
 
 
-def correlation_weights(bearings: Bearings, sensors: tuple[Sensor, ...]) -> NDArray[np.float64]:
+def correlation_weights(table: Measurements, sensors: tuple[Sensor, ...]) -> NDArray[np.float64]:
     """Return weights of the information for errors that are correlated and not modelled.
 
     n measurements of one sensor whose errors have the correlation rho count as
@@ -168,11 +254,11 @@ def correlation_weights(bearings: Bearings, sensors: tuple[Sensor, ...]) -> NDAr
 
     Parameters
     ----------
-    bearings
-        The table.
+    table
+        The measurements.
     sensors
         In the order of their indices.
     """
-    count = np.bincount(bearings.sensor, minlength=len(sensors))
+    count = np.bincount(table.sensor, minlength=len(sensors))
     rho = np.array([sensor.correlation for sensor in sensors])
-    return np.asarray((1.0 / (1.0 + (count - 1) * rho))[bearings.sensor])
+    return np.asarray((1.0 / (1.0 + (count - 1) * rho))[table.sensor])

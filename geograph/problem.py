@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geograph.blocks import BlockSum, ColumnLayout
+from geograph.common import settled
 from geograph.eliminate import LinearSystem, Step
 from geograph.losses import Loss
 
@@ -27,10 +28,6 @@ if TYPE_CHECKING:
     from geograph.recording import EliminationName
     from geograph.states import SensorStates
     from geograph.time_shift import TimeShift
-
-# A walk starts at zero; this fraction of its scale is small against anything it can become, and
-# large enough to keep the system well conditioned.
-_WALK_START_SIGMA = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +60,7 @@ class Problem:
     states
         Sensor-error states.
     walk_scale
-        Shape (w,): scales of the walks, SI.
+        Shape (w,): scales of the chains, SI (:meth:`geograph.states.SensorStates.chain_scale`).
     prior
         Weak prior of the first knot.
     path_scale
@@ -110,6 +107,8 @@ class Problem:
             3 * motion.order, walk_scale.size, states.size, chained=knots_s.size > 1
         )
         self.scale = np.concatenate([path_scale, np.ones(walk_scale.size)])
+        self._chain_start = states.chain_start_sigma()
+        self._chains = states.chain_transitions(self.steps_s, walk_scale)
         self._sums = [BlockSum(self.layout, path_scale) for _ in self.families]
         self._constant_transitions: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
@@ -153,19 +152,19 @@ class Problem:
 
         Path components are deviations from the origin's first knot, walks are as they are.
         """
-        walks = self.walk_scale.size
         mean = (self.prior.mean - origin.path[0]) / self.path_scale
         sigma = self.prior.sigma / self.path_scale
         return (
-            np.concatenate([mean, np.zeros(walks)]),
-            np.concatenate([sigma, np.full(walks, _WALK_START_SIGMA)]),
+            np.concatenate([mean, np.zeros(self._chain_start.size)]),
+            np.concatenate([sigma, self._chain_start]),
         )
 
     def evaluate(self, values: Values, *, jacobian: bool) -> list[Evaluation]:
-        """Evaluate all families at one point."""
+        """Evaluate all families at one point, unknowns that measurements share at their best."""
         state = self.path.at_state(values.path, jacobian=jacobian)
         return [
-            family.evaluate(self.path, state, values, jacobian=jacobian) for family in self.families
+            settled(family.evaluate(self.path, state, values, jacobian=jacobian), weight, self.loss)
+            for family, weight in zip(self.families, self.weights, strict=True)
         ]
 
     def _measurement_cost(
@@ -173,14 +172,15 @@ class Problem:
     ) -> tuple[float, NDArray[np.float64] | None]:
         """Return a family's cost and the weights of its measurements' information."""
         square = np.einsum("ij,ij->i", found.residual, found.residual)
+        held = 0.0 if found.common is None else found.common.cost
         if self.loss.name == "none":
             if weight is None:
-                return 0.5 * float(square.sum()), None
-            return 0.5 * float(weight @ square), weight
+                return held + 0.5 * float(square.sum()), None
+            return held + 0.5 * float(weight @ square), weight
         value, slope = self.loss.value_and_weight(square)
         if weight is not None:
-            return 0.5 * float(weight @ value), weight * slope
-        return 0.5 * float(value.sum()), slope
+            return held + 0.5 * float(weight @ value), weight * slope
+        return held + 0.5 * float(value.sum()), slope
 
     def cost(self, values: Values) -> float:
         """Return the cost at one point; not finite where a prediction is not."""
@@ -198,14 +198,14 @@ class Problem:
         start = (values.path[0] - self.prior.mean) / self.prior.sigma
         total = float(start @ start + values.constants @ values.constants)
         if self.knots_s.size > 1:
-            total += float(np.sum((values.walks[0] / _WALK_START_SIGMA) ** 2))
+            total += float(np.sum((values.walks[0] / self._chain_start) ** 2))
         if self.shift is not None:
             total += self.shift.residual(values.constants) ** 2
         return 0.5 * total
 
-    def walk_roots(self) -> NDArray[np.float64]:
-        """Return what a walk adds over each interval, shape (K - 1, w), scaled."""
-        return np.asarray(self.states.diffusion * np.sqrt(self.steps_s)[:, None] / self.walk_scale)
+    def chains(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the chains' transitions and noise roots, each shape (K - 1, w, w), scaled."""
+        return self._chains
 
     def _noise_residual(
         self, values: Values, path_residual: NDArray[np.float64] | None = None
@@ -215,8 +215,16 @@ class Problem:
             return np.zeros((0, self.layout.knot))
         if path_residual is None:
             path_residual = self.motion.transitions(values.path, self.steps_s).residual
-        walk_residual = np.diff(values.walks, axis=0) / self.walk_roots()
-        return np.concatenate([path_residual, walk_residual], axis=1)
+        return np.concatenate([path_residual, self._chain_residual(values.walks)], axis=1)
+
+    def _chain_residual(self, chains: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return whitened residuals of the chains' transitions, shape (K - 1, w)."""
+        matrix, root = self._chains
+        gap = chains[1:] - np.matmul(matrix, chains[:-1, :, None])[:, :, 0]
+        quiet = np.einsum("kii->ki", root) == 0.0
+        # A platform without noise keeps to its line; whatever the gap, it is rounding.
+        solvable = root + np.where(quiet, 1.0, 0.0)[:, :, None] * np.eye(root.shape[1])
+        return np.where(quiet, 0.0, np.linalg.solve(solvable, gap[:, :, None])[:, :, 0])
 
     def linearise(self, values: Values) -> LinearSystem:
         """Return the linear system of scaled increments at one point."""
@@ -235,11 +243,10 @@ class Problem:
             first = self.layout.states
             columns = slice(first, first + self.layout.constants)
             self.shift.add(blocks[0], columns, values.constants)
-        walks = self.walk_scale.size
         start = (values.path[0] - self.prior.mean) / self.prior.sigma
         ratio = self.path_scale / self.prior.sigma
-        information = np.concatenate([ratio**2, np.full(walks, _WALK_START_SIGMA**-2)])
-        gradient = np.concatenate([ratio * start, values.walks[0] / _WALK_START_SIGMA**2])
+        information = np.concatenate([ratio**2, self._chain_start**-2.0])
+        gradient = np.concatenate([ratio * start, values.walks[0] / self._chain_start**2])
         return LinearSystem(
             blocks,
             inverse,
@@ -276,9 +283,9 @@ class Problem:
         scale = self.path_scale
         inverse[:, :m, :m] = _inverse(found.transition * scale / scale[:, None])
         root[:, :m, :m] = found.noise_root / scale[:, None]
-        walk = np.arange(m, d)
-        inverse[:, walk, walk] = 1.0
-        root[:, walk, walk] = self.walk_roots()
+        matrix, noise = self._chains
+        inverse[:, m:, m:] = _inverse(matrix)
+        root[:, m:, m:] = noise
         if self.motion.constant:
             self._constant_transitions = inverse, root
         return inverse, root, residual

@@ -18,7 +18,15 @@ if TYPE_CHECKING:
     from datetime import datetime
     from pathlib import Path
 
-    from geograph.measurements import Bearings, Constraints, Truth
+    from geograph.measurements import (
+        Arrivals,
+        Bearings,
+        Constraints,
+        FrequencyDifferences,
+        Measurements,
+        TimeDifferences,
+        Truth,
+    )
     from geograph.sensors import Sensor
 
 Frame = Literal["ecef", "local"]
@@ -164,12 +172,14 @@ class Recording:
         ``"ecef"`` (WGS 84) or ``"local"`` (fixed Cartesian axes).
     sensors
         By name; their order is that of the sensor indices in the tables.
-    bearings, constraints, truth
+    bearings, arrivals, time_differences, frequency_differences, constraints, truth
         The tables, each None where the recording has none.
     epoch
         UTC instant of ``time_s = 0``; None only in a local frame.
     propagation_speed_m_s
         Speed of the signal in metres per second; ``inf`` ignores the light time.
+    propagation_sigma_m_s
+        Prior standard deviation of that speed, which is then estimated; zero: known.
     settings
         The recording's own defaults for the smoother.
     path
@@ -178,17 +188,22 @@ class Recording:
     Raises
     ------
     InputError
-        If the frame is unknown, the speed is not positive, or a table names a sensor out of range.
+        If the frame is unknown, the speed is not positive or its sigma negative, or a table names
+        a sensor out of range, or a sensor as its own reference.
     """
 
     name: str
     frame: Frame
     sensors: dict[str, Sensor]
     bearings: Bearings | None = None
+    arrivals: Arrivals | None = None
+    time_differences: TimeDifferences | None = None
+    frequency_differences: FrequencyDifferences | None = None
     constraints: Constraints | None = None
     truth: Truth | None = None
     epoch: datetime | None = None
     propagation_speed_m_s: float = SPEED_OF_LIGHT_M_S
+    propagation_sigma_m_s: float = 0.0
     settings: SmoothSettings = field(default_factory=SmoothSettings)
     path: Path | None = None
 
@@ -202,13 +217,43 @@ class Recording:
                 f"propagation_speed_m_s is {self.propagation_speed_m_s}; expected above 0 or inf",
                 column="propagation_speed_m_s",
             )
-        if self.bearings is not None and len(self.bearings):
-            low, high = int(self.bearings.sensor.min()), int(self.bearings.sensor.max())
+        sigma = self.propagation_sigma_m_s
+        if not (np.isfinite(sigma) and sigma >= 0.0):
+            raise InputError(
+                f"propagation_sigma_m_s is {sigma}; expected a finite number of at least 0",
+                column="propagation_sigma_m_s",
+            )
+        for name, table in self.tables.items():
+            self._check_sensors(name, table)
+
+    def _check_sensors(self, name: str, table: Measurements) -> None:
+        for column in ("sensor", "reference"):
+            index = getattr(table, column, None)
+            if index is None or not len(index):
+                continue
+            low, high = int(index.min()), int(index.max())
             if low < 0 or high >= len(self.sensors):
                 raise InputError(
-                    f"bearings name sensors {low} to {high}; "
+                    f"{name} have {column} {low} to {high}; "
                     f"expected indices from 0 to {len(self.sensors) - 1}"
                 )
+            if column == "reference" and (index == table.sensor).any():
+                row = int(np.argmax(index == table.sensor))
+                raise InputError(
+                    f"row {row} of the {name} has sensor {self.sensor_names[index[row]]!r} as its "
+                    "own reference; expected two different sensors"
+                )
+
+    @property
+    def tables(self) -> dict[str, Measurements]:
+        """The tables that hold measurements, by their names in the recording format."""
+        named: dict[str, Measurements | None] = {
+            "bearings": self.bearings,
+            "arrivals": self.arrivals,
+            "time_differences": self.time_differences,
+            "frequency_differences": self.frequency_differences,
+        }
+        return {name: table for name, table in named.items() if table is not None and len(table)}
 
     @property
     def sensor_names(self) -> tuple[str, ...]:
@@ -218,6 +263,7 @@ class Recording:
     @property
     def time_span_s(self) -> tuple[float, float]:
         """First and last time tag of the measurements, seconds; raises InputError if none."""
-        if self.bearings is None or not len(self.bearings):
+        times = [table.time_s for table in self.tables.values()]
+        if not times:
             raise InputError(f"recording {self.name!r} has no measurement", path=self.path)
-        return float(self.bearings.time_s.min()), float(self.bearings.time_s.max())
+        return min(float(t.min()) for t in times), max(float(t.max()) for t in times)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import chi2
 
+from geograph.diagnosis import diagnose
 from geograph.eliminate import Marginals
 from geograph.knots import NEGLIGIBLE
 from geograph.observability import WeakDirections, weak_directions
@@ -16,9 +17,11 @@ from geograph.solver import Status
 from geograph.track import Residuals, SensorEstimate, Track
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
-    from geograph.families import BearingFamily, Evaluation
+    from geograph.families import Evaluation, SensorFamily
     from geograph.smoother import Smoother
 
 _FLAG_SIGMAS = 3.0
@@ -43,10 +46,8 @@ def make_track(smoother: Smoother, *, seconds: float) -> Track:
     scale = problem.path_scale
     covariance = marginals.knots[:, :size, :size] * scale[:, None] * scale
     found = problem.evaluate(values, jacobian=False)
-    family = smoother.bearings
-    weight = _weights(smoother, found[0])
-    out = outliers(smoother, found[0])
-    residuals = residual_table(family, found[0], smoother, weight=weight, rejected=out)
+    out = outliers(smoother, found)
+    residuals = residual_table(smoother, found, rejected=out)
     errors = sensor_estimates(smoother, marginals)
     track = Track(
         time_s=problem.knots_s,
@@ -63,10 +64,13 @@ def make_track(smoother: Smoother, *, seconds: float) -> Track:
         values=values,
         marginals=marginals,
     )
-    weak = weak_directions(track, smoother.distances())
+    weak = weak_directions(track, smoother.emissions()[0])
     lost = _too_few_left(smoother, out)
     if lost is not None:
         weak = WeakDirections([lost, *weak.sentences], unobservable=True)
+    if smoother.rivals:
+        others = [rival.sentence(track.frame) for rival in smoother.rivals]
+        weak = WeakDirections([*others, *weak.sentences], unobservable=True)
     status = solution.status
     if weak.unobservable:
         status = Status.UNOBSERVABLE
@@ -94,11 +98,11 @@ def _marginals(smoother: Smoother) -> Marginals:
     )
 
 
-def _weights(smoother: Smoother, found: Evaluation) -> NDArray[np.float64]:
-    """Return the weight that each bearing ended with, 0 to 1, shape (n,)."""
+def _weights(smoother: Smoother, found: Evaluation, index: int) -> NDArray[np.float64]:
+    """Return the weight that each measurement of a family ended with, 0 to 1, shape (n,)."""
     square = np.sum(found.residual**2, axis=1)
     _, weight = smoother.problem.loss.value_and_weight(square)
-    fixed = smoother.problem.weights[0]
+    fixed = smoother.problem.weights[index]
     return weight if fixed is None else weight * fixed
 
 
@@ -114,59 +118,59 @@ def _resolved(smoother: Smoother) -> Any:
 
 
 def residual_table(
-    family: BearingFamily,
-    found: Evaluation,
-    smoother: Smoother,
-    *,
-    weight: NDArray[np.float64],
-    rejected: NDArray[np.bool_],
+    smoother: Smoother, found: list[Evaluation], *, rejected: NDArray[np.bool_]
 ) -> Residuals:
-    """Return the residuals of all bearings, elevations behind azimuths, in the file's order.
+    """Return the residuals of all measurements, table by table, in the files' order.
 
     Parameters
     ----------
-    family
-        The bearings.
-    found
-        Their evaluation at the estimate.
     smoother
-        For the path and the estimate.
-    weight
-        Shape (n,): weights that the loss gave.
+        For the families, the path and the estimate.
+    found
+        All families' evaluations at the estimate.
     rejected
         Shape (n,): outliers.
     """
-    problem = smoother.problem
-    table = family.bearings
-    predicted, _, _ = family.predicted(problem.path, smoother.solution.values)
-    measured = np.stack([table.azimuth_rad, table.elevation_rad], axis=1)
-    count = len(table)
-    exists = np.ones((count, 2), dtype=bool)
-    exists[family.azimuth_only, 1] = False
-    level = np.cos(np.nan_to_num(table.elevation_rad))
-    level = np.where(table.isotropic & ~family.azimuth_only, np.maximum(level, 1e-6), 1.0)
-    sigma = np.stack([table.sigma_azimuth_rad / level, table.sigma_elevation_rad], axis=1)
-    # The solver's residual is predicted - measured, whitened with the correlation's weight.
-    normalised = -found.residual / np.sqrt(family.weight)[:, None]
+    path, values = smoother.problem.path, smoother.solution.values
+    parts: list[list[NDArray[Any]]] = []
+    for index, (family, out) in enumerate(
+        zip(smoother.families, smoother.split(rejected), strict=True)
+    ):
+        told = family.report(path, values, found[index])
+        reference = np.full(len(family), -1) if family.reference is None else family.reference
+        weight = _weights(smoother, found[index], index)
+        order = np.argsort(family.line, kind="stable")
+        exists = told.exists[order]
 
-    def pick(column: NDArray[Any]) -> NDArray[Any]:
-        spread = column if column.ndim == 2 else np.repeat(column[:, None], 2, axis=1)
-        return np.asarray(spread[exists])
+        def pick(
+            column: NDArray[Any],
+            order: NDArray[np.int64] = order,
+            exists: NDArray[np.bool_] = exists,
+        ) -> NDArray[Any]:
+            own = column[order]
+            return np.asarray(
+                (own if own.ndim == 2 else np.repeat(own[:, None], exists.shape[1], axis=1))[exists]
+            )
 
-    kinds = np.broadcast_to(np.array(["azimuth", "elevation"]), (count, 2))
-    return Residuals(
-        pick(table.time_s),
-        pick(table.sensor),
-        pick(kinds),
-        pick(measured),
-        pick(predicted),
-        pick(measured - predicted),
-        pick(sigma),
-        pick(normalised),
-        pick(weight),
-        pick(rejected),
-        pick(table.line),
-    )
+        shape = told.exists.shape
+        parts.append(
+            [
+                pick(family.time_s),
+                pick(family.sensor),
+                pick(reference),
+                pick(np.broadcast_to(np.array(told.kinds), shape)),
+                pick(np.broadcast_to(np.array(told.units), shape)),
+                pick(told.measured),
+                pick(told.predicted),
+                pick(told.measured - told.predicted),
+                pick(told.sigma),
+                pick(told.normalised),
+                pick(weight),
+                pick(out),
+                pick(family.line),
+            ]
+        )
+    return Residuals(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def sensor_estimates(
@@ -179,7 +183,8 @@ def sensor_estimates(
     result: dict[str, dict[str, SensorEstimate]] = {}
     for column, state in enumerate(problem.states.constants):
         sigma = float(np.sqrt(marginals.constants[column, column]))
-        result.setdefault(names[state.sensor], {})[state.name] = SensorEstimate(
+        owner = problem.states.owner(column, names)
+        result.setdefault(owner, {})[state.name] = SensorEstimate(
             state.unit, float(values.constants[column] * state.sigma), sigma * state.sigma,
             state.sigma,
         )  # fmt: skip
@@ -206,11 +211,19 @@ def _summary(
     status: Status,
 ) -> dict[str, Any]:
     problem, solution = smoother.problem, smoother.solution
-    square = float(np.sum(found[0].residual[~out] ** 2))
-    square += sum(float(np.sum(part.residual**2)) for part in found[1:])
-    prior = 2.0 * problem.prior_cost(solution.values)
-    lost = int(smoother.bearings.row_counts[out].sum())
-    freedom = max(problem.measurement_rows - lost - 3 * problem.motion.order, 0)
+    families = smoother.families
+    square = 0.0
+    square += sum(
+        float(np.sum(part.residual[~own] ** 2))
+        for part, own in zip(found, smoother.split(out), strict=False)
+    )
+    square += sum(float(np.sum(part.residual**2)) for part in found[len(families) :])
+    shared = sum(part.common.cost for part in found if part.common is not None)
+    prior = 2.0 * (problem.prior_cost(solution.values) + shared)
+    lost = int(sum(f.row_counts[own].sum() for f, own in _zipped(smoother, out)))
+    # The first knot's states, those of platforms included, have no prior to speak of.
+    free = 3 * problem.motion.order + 6 * len(problem.states.platforms)
+    freedom = max(problem.measurement_rows - lost - free, 0)
     noise = problem.motion.density
     return {
         "name": track.recording.name,
@@ -220,10 +233,11 @@ def _summary(
         "cost": solution.cost,
         "chi2": square + prior,
         "degrees_of_freedom": freedom,
-        "measurements": len(smoother.bearings) + sum(f.row_count for f in problem.families[1:]),
-        "rejected": _rejected(smoother, found[0], out),
+        "measurements": sum(map(len, families))
+        + sum(f.row_count for f in problem.families[len(families) :]),
+        "rejected": _rejected(smoother, found, out),
         "weakly_observed": weak,
-        "flagged_sensors": _flagged(track),
+        "flagged_sensors": [*_flagged(track), *diagnose(smoother, out)],
         "sensors": _per_sensor(smoother, track, out),
         "motion": problem.motion.name,
         "process_noise": None if problem.motion.static else list(noise.axes),
@@ -238,18 +252,31 @@ def _summary(
 
 def _too_few_left(smoother: Smoother, out: NDArray[np.bool_]) -> str | None:
     """Say so where outliers leave nothing to check the path with, or cannot be told apart."""
-    rows = smoother.bearings.row_counts
+    rows = np.concatenate([family.row_counts for family in smoother.families])
+    what = _what(smoother)
     if smoother.undecided:
         return (
-            "the bearings contradict each other, and too few agree to tell which are wrong; more "
-            "sensors or more bearings are needed"
+            f"the {what} contradict each other, and too few agree to tell which are wrong; more "
+            f"sensors or more {what} are needed"
         )
     if out.any() and rows[~out].sum() <= 3 * smoother.problem.motion.order:
         return (
-            f"{int(out.sum())} of {out.size} bearings do not fit, and the others are too few to "
+            f"{int(out.sum())} of {out.size} {what} do not fit, and the others are too few to "
             "check the path with"
         )
     return None
+
+
+def _what(smoother: Smoother) -> str:
+    """Name what was measured, for sentences."""
+    names = {family.name.replace("_", " ") for family in smoother.families}
+    return names.pop() if len(names) == 1 else "measurements"
+
+
+def _zipped(
+    smoother: Smoother, column: NDArray[Any]
+) -> Iterator[tuple[SensorFamily, NDArray[Any]]]:
+    return zip(smoother.families, smoother.split(column), strict=True)
 
 
 def _message(status: Status, iterations: int, weak: list[str]) -> str:
@@ -265,40 +292,49 @@ def _message(status: Status, iterations: int, weak: list[str]) -> str:
     return "diverged: no step lowers the cost; check units, axes and clocks of the sensors"
 
 
-def outliers(smoother: Smoother, found: Evaluation) -> NDArray[np.bool_]:
-    """Return which bearings do not belong, shape (n,): left out, or far off under a robust loss.
+def outliers(smoother: Smoother, found: list[Evaluation]) -> NDArray[np.bool_]:
+    """Return which measurements do not belong, shape (n,): left out, or far off under a loss.
 
     Parameters
     ----------
     smoother
         After its run.
     found
-        Evaluation of the bearings at the estimate.
+        All families' evaluations at the estimate.
     """
     if smoother.problem.loss.name == "none":
         return smoother.rejected
-    family = smoother.bearings
-    square = family.squares(found)
-    limit = thresholds(square, family.row_counts, family.bearings.sensor)
-    return np.asarray(smoother.rejected | (square > limit))
+    square = _squares(smoother, found)
+    rows = np.concatenate([family.row_counts for family in smoother.families])
+    return np.asarray(smoother.rejected | (square > thresholds(square, rows, smoother.group)))
+
+
+def _squares(smoother: Smoother, found: list[Evaluation]) -> NDArray[np.float64]:
+    """Return squared whitened residuals of all measurements, shape (n,)."""
+    pairs = zip(smoother.families, found, strict=False)
+    return np.concatenate([family.squares(part) for family, part in pairs])
 
 
 def _rejected(
-    smoother: Smoother, found: Evaluation, out: NDArray[np.bool_]
+    smoother: Smoother, found: list[Evaluation], out: NDArray[np.bool_]
 ) -> list[dict[str, Any]]:
-    """Name every rejected bearing, with its residual in sigmas."""
-    table = smoother.prepared.bearings
+    """Name every rejected measurement, with its residual in sigmas."""
     names = smoother.prepared.recording.sensor_names
-    square = smoother.bearings.squares(found)
-    return [
-        {
-            "sensor": names[table.sensor[index]],
-            "time_s": float(table.time_s[index]),
-            "line": int(table.line[index]),
-            "normalised": float(np.sqrt(square[index])),
-        }
-        for index in np.flatnonzero(out)
-    ]
+    squares = smoother.split(_squares(smoother, found))
+    listed = []
+    for (family, own), square in zip(_zipped(smoother, out), squares, strict=True):
+        for index in np.flatnonzero(own):
+            entry = {
+                "table": family.name,
+                "sensor": names[family.sensor[index]],
+                "time_s": float(family.time_s[index]),
+                "line": int(family.line[index]),
+                "normalised": float(np.sqrt(square[index])),
+            }
+            if family.reference is not None:
+                entry["reference"] = names[family.reference[index]]
+            listed.append(entry)
+    return listed
 
 
 def _flagged(track: Track) -> list[str]:
@@ -334,20 +370,29 @@ def _per_sensor(
 ) -> dict[str, dict[str, Any]]:
     residuals = track.residuals
     result = {}
+    sensor = np.concatenate([family.sensor for family in smoother.families])
+    reference = np.concatenate(
+        [
+            np.full(len(family), -1) if family.reference is None else family.reference
+            for family in smoother.families
+        ]
+    )
     for index, name in enumerate(track.recording.sensor_names):
         own = residuals.sensor == index
         kept = own & ~residuals.rejected
-        measured = smoother.prepared.bearings.sensor == index
-        result[name] = {
+        measured = sensor == index
+        entry: dict[str, Any] = {
             "measurements": int(measured.sum()),
             "rejected": int(out[measured].sum()),
+            "as_reference": int((reference == index).sum()),
             "rms_normalised": float(np.sqrt(np.mean(residuals.normalised[kept] ** 2)))
             if kept.any()
             else None,
-            "median_residual_rad": float(np.median(np.abs(residuals.residual[kept])))
-            if kept.any()
-            else None,
         }
+        for unit in np.unique(residuals.unit[kept]):
+            size = np.abs(residuals.residual[kept & (residuals.unit == unit)])
+            entry[f"median_residual_{unit.lower()}"] = float(np.median(size))
+        result[name] = entry
     return result
 
 
@@ -367,11 +412,11 @@ def _guesses(smoother: Smoother) -> dict[str, Any]:
     names = smoother.prepared.recording.sensor_names
 
     def describe(index: int) -> dict[str, Any]:
-        fit, cost = smoother.guesses[index]
+        fit, cost = smoother.attempts[index].fit, smoother.attempts[index].solution.cost
         clocks = {names[i]: float(fit.clock_s[i]) for i in np.flatnonzero(fit.clock_s)}
         return {"cost": cost, "clock_offsets_s": clocks, "behind_sensors": fit.behind}
 
     return {
         "chosen": describe(0),
-        "others": [describe(index) for index in range(1, len(smoother.guesses))],
+        "others": [describe(index) for index in range(1, len(smoother.attempts))],
     }

@@ -28,6 +28,9 @@ _STAGES = 40
 _LEAST_CONTROL = 0.1
 _SCALE_ROUNDS = 10
 
+# Ratio of variances beyond which a sensor is wrong rather than noisy: ten times as wide as most.
+_WRONG = 100.0
+
 
 def thresholds(
     square: NDArray[np.float64],
@@ -56,7 +59,8 @@ def sensor_scales(
     """Return by how much each sensor's residuals exceed their variance, at least 1, shape (g,).
 
     The median of the squared residuals over the median of chi-square: half of a sensor's
-    measurements may be outliers.
+    measurements may be outliers. A sensor far wider than most is not noisy but wrong, and its
+    measurements are judged by their stated variance.
     """
     count = int(group.max(initial=-1)) + 1
     scales = np.ones(count)
@@ -65,6 +69,9 @@ def sensor_scales(
         own = ratio[group == index]
         if own.size >= _SCALE_ROUNDS:
             scales[index] = max(1.0, float(np.median(own)))
+    # The lower median: with two sensors the better one is the measure.
+    typical = float(np.sort(scales)[(count - 1) // 2]) if count else 1.0
+    scales[scales > _WRONG * typical] = typical
     return scales
 
 

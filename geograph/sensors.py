@@ -119,6 +119,10 @@ class Trajectory:
         """Return velocities, shape (..., 3), metres per second, at times in seconds."""
         return np.asarray(self._spline(np.asarray(time_s, dtype=np.float64), 1))
 
+    def acceleration_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
+        """Return accelerations, shape (..., 3), m/s^2, at times in seconds."""
+        return np.asarray(self._spline(np.asarray(time_s, dtype=np.float64), 2))
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sensor:
@@ -142,6 +146,11 @@ class Sensor:
         intersection.
     refraction
         ``"standard"`` removes mean astronomical refraction from its elevations.
+    platform_process_noise
+        None: the trajectory is known but for the errors above. Otherwise the trajectory's points
+        are position fixes, each with the independent error ``errors.position_noise_m``, of a
+        platform whose path is estimated too: constant velocity, driven by white noise on the
+        acceleration of this square root of its spectral density, m/s^1.5 (0: straight and even).
 
     Raises
     ------
@@ -156,6 +165,7 @@ class Sensor:
     errors: SensorErrors = field(default_factory=SensorErrors)
     correlation: float = 0.0
     refraction: Refraction = "none"
+    platform_process_noise: float | None = None
 
     def __post_init__(self) -> None:
         if (self.position_m is None) == (self.trajectory is None):
@@ -179,6 +189,22 @@ class Sensor:
             raise InputError(
                 f"sensor {self.name!r} has refraction {self.refraction!r}; "
                 "expected none or standard"
+            )
+        self._check_platform()
+
+    def _check_platform(self) -> None:
+        noise = self.platform_process_noise
+        if noise is None:
+            return
+        if not (np.isfinite(noise) and noise >= 0.0):
+            raise InputError(
+                f"sensor {self.name!r} has platform_process_noise {noise}; expected a finite "
+                "number of at least 0"
+            )
+        if self.trajectory is None or not self.errors.position_noise_m > 0.0:
+            raise InputError(
+                f"sensor {self.name!r} has a platform_process_noise; expected a trajectory beside "
+                "it, whose points are fixes, and position_noise_m above 0, the sigma of each"
             )
 
     def position_at(self, time_s: ArrayLike) -> NDArray[np.float64]:

@@ -15,35 +15,29 @@ from scipy.optimize import minimize_scalar
 
 from geograph.errors import SolveError
 from geograph.factors.kinematics import conditional_covariance
-from geograph.families import BearingFamily, Values
-from geograph.initialise import FirstGuess, PathFit
-from geograph.knots import (
-    NEGLIGIBLE,
-    Resolution,
-    automatic_spacing,
-    check_memory,
-    ignored_share,
-    place_knots,
-)
+from geograph.families import SensorFamily, Values
+from geograph.knots import NEGLIGIBLE, ignored_share
 from geograph.losses import Loss
-from geograph.motion import Density, Motion
+from geograph.motion import Density
 from geograph.prepare import Prepared, prepare
-from geograph.problem import PathPrior, Problem
-from geograph.process_noise import guess_noise, least_noise
+from geograph.problem import Problem
+from geograph.process_noise import least_noise
 from geograph.report import make_track
+from geograph.rivals import Attempt, Rival, find_rivals
 from geograph.robust import anneal, thresholds
 from geograph.solver import Solution, Status, solve
-from geograph.states import CLOCK, ELEVATION
+from geograph.starts import choose_knots, first_fits, start
 from geograph.threads import single_blas_thread
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.initialise import PathFit
+    from geograph.knots import Resolution
+    from geograph.motion import Motion
     from geograph.recording import Recording, SmoothSettings
     from geograph.track import Track
 
-# The first knot's prior is this many distances wide: data that determine the path do not feel it.
-_PRIOR_WIDTH = 100.0
 _ROUNDS = 6
 _TRIAL_ITERATIONS = 40
 
@@ -63,27 +57,38 @@ class Smoother:
     iterations
         Levenberg-Marquardt iterations so far.
     rejected
-        Shape (n,): bearings found to be outliers.
+        Shape (n,): measurements found to be outliers, of all families one after another.
     ignored
         Share of the information that lies between the knots.
     undecided
-        Whether outliers show, but not which bearings they are.
-    guesses
-        First guesses in the order in which they were tried, with the cost that each led to.
+        Whether outliers show, but not which measurements they are.
+    attempts
+        What the first guesses led to, the best first.
+    rivals
+        Other paths that fit as well.
     """
 
     prepared: Prepared
     settings: SmoothSettings
     problem: Problem = field(init=False)
     solution: Solution = field(init=False)
+    _resolution: Resolution = field(init=False)
     iterations: int = 0
     rejected: NDArray[np.bool_] = field(init=False)
-    guesses: list[tuple[PathFit, float]] = field(default_factory=list)
+    attempts: list[Attempt] = field(default_factory=list)
+    rivals: list[Rival] = field(default_factory=list)
     ignored: float = 0.0
     undecided: bool = False
 
     def __post_init__(self) -> None:
-        self.rejected = np.zeros(len(self.prepared.bearings), dtype=bool)
+        families = self.prepared.sensor_families()
+        self.rejected = np.zeros(sum(len(family) for family in families), dtype=np.bool_)
+        self._rows = np.concatenate([family.row_counts for family in families])
+        # Outliers are judged among those of the same sensor and kind.
+        sensors = len(self.prepared.sensors)
+        kinds = [family.sensor + i * sensors for i, family in enumerate(families)]
+        _, code = np.unique(np.concatenate(kinds), return_inverse=True)
+        self.group: NDArray[np.int64] = code.astype(np.int64)
 
     @property
     def robust(self) -> bool:
@@ -96,8 +101,7 @@ class Smoother:
         automatic = settings.process_noise == "auto" and settings.motion != "static"
         loss = Loss("none" if self.robust else settings.loss)
         trial = Loss("cauchy") if self.robust else loss
-        fits = self.first_guess().fits()
-        best: tuple[Problem, Solution] | None = None
+        fits = first_fits(self.prepared, static=settings.motion == "static")
         several = len(fits) > 1
         for fit in fits:
             problem, values = self.start(fit, trial if several or automatic else loss)
@@ -105,14 +109,12 @@ class Smoother:
                 problem = problem.with_weights(problem.weights, trial)
             limit = _TRIAL_ITERATIONS if several else settings.max_iterations
             solution = self._solve(problem, values, min(limit, settings.max_iterations))
-            self.guesses.append((fit, solution.cost))
-            if best is None or _better(solution, best[1]):
-                best = problem, solution
-        assert best is not None
-        self.problem, self.solution = best
+            self.attempts.append(Attempt(fit, problem, solution, self._resolution))
+        self.attempts.sort(key=lambda attempt: _rank(attempt.solution))
+        best = self.attempts[0]
+        self.problem, self.solution, self._resolution = best.problem, best.solution, best.resolution
         if self.solution.status is Status.ITERATION_LIMIT and several:
             self._change(self.problem)
-        self.guesses.sort(key=lambda guess: guess[1])
         if automatic:
             self._tune_noise(4.0)
         if self.robust:
@@ -120,109 +122,27 @@ class Smoother:
         if automatic:
             self._tune_noise(1.0)
         self._settle()
+        self._compare()
 
-    def first_guess(self) -> FirstGuess:
-        """Return the finder of first guesses."""
-        recording = self.prepared.recording
-        return FirstGuess(
-            self.prepared.bearings,
-            recording.constraints,
-            self.prepared.sensors,
-            self.prepared.geometry,
-            recording.propagation_speed_m_s,
-            self.settings.motion == "static",
-        )
+    def _compare(self) -> None:
+        """Hold the estimate against what the other first guesses led to."""
+        if self.solution.status is not Status.CONVERGED or len(self.attempts) < 2:
+            return
+        best, self.rivals = find_rivals(self.problem, self.solution, self.attempts[1:])
+        if best is not self.solution:
+            self.iterations += best.iterations
+            self.solution = best
+            self._settle()
 
     def _suspect(self, problem: Problem, values: Values) -> bool:
         """Tell whether a first guess shows residuals far outside those of their sensor."""
-        square = self._squares(problem, values)
-        rows = self._family(problem).row_counts
-        return bool((square > thresholds(square, rows, self._sensor)).any())
-
-    @property
-    def _sensor(self) -> NDArray[np.int64]:
-        return self.prepared.bearings.sensor
-
-    def resolution(self, fit: PathFit) -> Resolution:
-        """Return what the measurements resolve at the distances of a fit."""
-        bearings = self.prepared.bearings
-        clock = fit.clock_s[bearings.sensor]
-        poses = self.prepared.geometry.poses(bearings.sensor, bearings.time_s - clock)
-        position = fit.state(bearings.time_s - clock, 1)
-        distance = np.linalg.norm(position - poses.position_m, axis=1)
-        sigma = np.fmin(bearings.sigma_azimuth_rad, bearings.sigma_elevation_rad)
-        return Resolution(
-            len(bearings),
-            self.prepared.span_s,
-            float(np.median(sigma * distance)),
-            float(np.median(sigma)),
-        )
+        square = self.squares(problem, values)
+        return bool((square > thresholds(square, self._rows, self.group)).any())
 
     def start(self, fit: PathFit, loss: Loss) -> tuple[Problem, Values]:
         """Return the problem and the values that a first guess leads to."""
-        prepared, settings = self.prepared, self.settings
-        order = Motion(settings.motion, Density.of(1.0), prepared.recording.frame).order
-        resolution = self.resolution(fit)
-        noise = settings.process_noise
-        if noise == "auto":
-            noise = guess_noise(fit, order, resolution)
-        density = Density.of(noise, settings.process_noise_along)
-        motion = Motion(settings.motion, density, prepared.recording.frame)
-        knots = self._knots(motion, self._emission_times(fit), resolution)
-        state = fit.state(knots, order)
-        span = prepared.span_s
-        rank = np.repeat(np.arange(order, dtype=np.float64), 3)
-        powers = span**-rank
-        prior = PathPrior(state[0], _PRIOR_WIDTH * max(fit.range_m, resolution.sigma_m) * powers)
-        # What the sensors may be off by is the unit of length, a tenth of the pass that of time.
-        states = prepared.states
-        biases = [s.sigma for s in states.constants if s.channel <= ELEVATION and not s.drift]
-        blur = np.hypot(1.0, (np.median(biases) if biases else 0.0) / resolution.sigma_rad)
-        scale = np.asarray(resolution.sigma_m * blur * (10.0 / span) ** rank, dtype=np.float64)
-        constants = np.zeros(states.size)
-        for column, entry in enumerate(states.constants):
-            if entry.channel == CLOCK and not entry.drift:
-                constants[column] = fit.clock_s[entry.sensor] / entry.sigma
-        problem = Problem(
-            motion=motion,
-            knots_s=knots,
-            families=prepared.families(knots),
-            states=states,
-            walk_scale=prepared.walk_scale,
-            prior=prior,
-            path_scale=scale,
-            loss=loss,
-            elimination=settings.elimination,
-            shift=None if motion.static else prepared.shift,
-        )
-        self._resolution = resolution
-        values = Values(state, np.zeros((knots.size, states.diffusion.size)), constants)
-        problem.refresh(values)
+        problem, values, self._resolution = start(self.prepared, self.settings, fit, loss)
         return problem, values
-
-    def _emission_times(self, fit: PathFit) -> NDArray[np.float64]:
-        bearings = self.prepared.bearings
-        delay = fit.range_m / self.prepared.recording.propagation_speed_m_s
-        return np.asarray(bearings.time_s - fit.clock_s[bearings.sensor] - delay)
-
-    def _knots(
-        self, motion: Motion, times_s: NDArray[np.float64], resolution: Resolution
-    ) -> NDArray[np.float64]:
-        states = self.prepared.states
-        if motion.static and not states.diffusion.size:
-            return np.array([0.5 * (times_s.min() + times_s.max())])
-        spacing = self.settings.spacing_s
-        automatic = spacing is None
-        if spacing is None:
-            spacing = automatic_spacing(motion, states, resolution)
-        elif motion.ballistic:
-            spacing = min(spacing, motion.longest_step_s)
-        unknowns = 2 * (3 * motion.order + states.diffusion.size) + states.size + 1
-        count = float(np.ptp(times_s)) / spacing
-        if automatic:
-            count = min(count, times_s.size)
-        check_memory(count, unknowns, spacing)
-        return place_knots(times_s, spacing, automatic=automatic)
 
     def _solve(self, problem: Problem, values: Values, limit: int | None = None) -> Solution:
         """Solve, counting the iterations."""
@@ -236,54 +156,66 @@ class Smoother:
         self.solution = self._solve(problem, self.solution.values)
 
     @property
-    def bearings(self) -> BearingFamily:
-        """The family of the bearings."""
-        return self._family(self.problem)
+    def families(self) -> list[SensorFamily]:
+        """What sensors measured; these are the problem's first families."""
+        return sensor_families(self.problem)
+
+    def emissions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return distances (m) and times of emission (s) of all measurements, each shape (n,)."""
+        path, values = self.problem.path, self.solution.values
+        found = [family.emissions(path, values) for family in self.families]
+        distance, time = (np.concatenate(columns) for columns in zip(*found, strict=True))
+        return distance, time
+
+    def split(self, column: NDArray[Any]) -> list[NDArray[Any]]:
+        """Return a column over all measurements by family."""
+        ends = np.cumsum([len(family) for family in self.families])[:-1]
+        return np.split(column, ends)
 
     @staticmethod
-    def _family(problem: Problem) -> BearingFamily:
-        family = problem.families[0]
-        assert isinstance(family, BearingFamily)
-        return family
+    def squares(problem: Problem, values: Values) -> NDArray[np.float64]:
+        """Return squared whitened residuals of all measurements, shape (n,)."""
+        found = problem.evaluate(values, jacobian=False)
+        families = sensor_families(problem)
+        return np.concatenate(
+            [family.squares(part) for family, part in zip(families, found, strict=False)]
+        )
 
-    def distances(self) -> NDArray[np.float64]:
-        """Return the distances of the object at every bearing, shape (n,), metres."""
-        _, distance, _ = self.bearings.predicted(self.problem.path, self.solution.values)
-        return distance
-
-    def _squares(self, problem: Problem, values: Values) -> NDArray[np.float64]:
-        """Return squared whitened residuals of the bearings, shape (n,)."""
-        return self._family(problem).squares(problem.evaluate(values, jacobian=False)[0])
+    def _weights(self, column: NDArray[np.float64] | None) -> list[NDArray[np.float64] | None]:
+        """Return weights for every family: those given for the sensors', none for the others."""
+        others = [None] * (len(self.problem.families) - len(self.families))
+        if column is None:
+            return [None] * len(self.problem.families)
+        return [*self.split(column), *others]
 
     def _reject(self, trial: Loss) -> None:
         """Find the outliers, if there are any, and solve without them."""
-        rows, sensor = self.bearings.row_counts, self._sensor
-        others = self.problem.weights[1:]
-        plain = self.problem.with_weights([None, *others], Loss("none"))
-        square = self._squares(self.problem, self.solution.values)
+        rows, group = self._rows, self.group
+        plain = self.problem.with_weights(self._weights(None), Loss("none"))
+        square = self.squares(self.problem, self.solution.values)
         if self.problem.loss != trial:
-            if (square <= thresholds(np.zeros_like(square), rows, sensor)).all():
+            if (square <= thresholds(np.zeros_like(square), rows, group)).all():
                 return
             # From the robust estimate, where outliers stand out and good sensors do not suffer.
             self._change(self.problem.with_weights(self.problem.weights, trial))
-            square = self._squares(self.problem, self.solution.values)
+            square = self.squares(self.problem, self.solution.values)
 
         def solved(weight: NDArray[np.float64]) -> NDArray[np.float64]:
-            self._change(plain.with_weights([weight, *others]))
-            return self._squares(self.problem, self.solution.values)
+            self._change(plain.with_weights(self._weights(weight)))
+            return self.squares(self.problem, self.solution.values)
 
-        start = self.solution
-        kept = anneal(solved, square, rows, sensor)
+        before = self.solution
+        kept = anneal(solved, square, rows, group)
         if rows[kept].sum() < max(0.5 * rows.sum(), 3 * self.problem.motion.order + 1):
             # What would be left is a minority, or says nothing beyond its own fit: which of the
-            # bearings are wrong cannot be told from them.
+            # measurements are wrong cannot be told from them.
             self.undecided = True
-            self.problem, self.solution = plain.with_weights([None, *others], trial), start
+            self.problem, self.solution = plain.with_weights(self._weights(None), trial), before
             self._change(self.problem)
             return
         self.rejected = ~kept
-        weights = [kept.astype(np.float64) if self.rejected.any() else None, *others]
-        self._change(plain.with_weights(weights))
+        weight = kept.astype(np.float64) if self.rejected.any() else None
+        self._change(plain.with_weights(self._weights(weight)))
 
     def _tune_noise(self, decades: float) -> None:
         """Set the process noise to the value of greatest marginal likelihood."""
@@ -320,14 +252,21 @@ class Smoother:
 
     def _respace(self) -> None:
         """Put the knots where the present estimate and process noise want them."""
-        _, _, times = self.bearings.predicted(self.problem.path, self.solution.values)
-        knots = self._knots(self.problem.motion, times, self._resolution)
+        _, times = self.emissions()
+        knots = choose_knots(
+            self.prepared,
+            self.settings,
+            self.problem.motion,
+            times_s=times,
+            resolved=self._resolution,
+        )
         old = self.problem.knots_s
         if old.size == knots.size and np.abs(old - knots).max() < 0.01 * np.diff(old).min():
             return
         values = self._values_at(knots)
         problem = self.problem
-        weights = [problem.weights[0], *(None for _ in problem.families[1:])]
+        count = len(self.families)
+        weights = [*problem.weights[:count], *(None for _ in problem.families[count:])]
         self.problem = Problem(
             motion=problem.motion,
             knots_s=knots,
@@ -362,11 +301,15 @@ class Smoother:
         if steps.size:
             self.ignored = ignored_share(motion, float(steps.max()), self._resolution)
         if self.settings.spacing_s is not None and self.ignored > NEGLIGIBLE:
-            # Knots wider than the noise allows: what lies between them is noise to the bearings.
-            _, _, times = self.bearings.predicted(self.problem.path, values)
-            place = self.problem.path.locate(times)
-            between = conditional_covariance(motion.order, place.step_s, place.offset_s)
-            self.bearings.path_noise_m = motion.density.largest * np.sqrt(between[:, 0, 0])
+            # Knots wider than the noise allows: what lies between them is noise to the sensors.
+            for family in self.families:
+                _, times = family.emissions(self.problem.path, values)
+                place = self.problem.path.locate(times)
+                between = conditional_covariance(motion.order, place.step_s, place.offset_s)
+                largest = motion.density.largest
+                family.path_noise_m = largest * np.sqrt(between[:, 0, 0])
+                if motion.order > 1:
+                    family.path_noise_m_s = largest * np.sqrt(between[:, 1, 1])
         self.problem.refresh(values)
 
     def _settle(self) -> None:
@@ -375,7 +318,7 @@ class Smoother:
             before = self.solution.values
             if self.solution.elimination is None:
                 break
-            _, _, times = self.bearings.predicted(self.problem.path, before)
+            _, times = self.emissions()
             knots = self.problem.knots_s
             if knots.size > 1:
                 slack = 0.05 * float(np.diff(knots).min())
@@ -404,15 +347,19 @@ def first_problem(recording: Recording, settings: SmoothSettings) -> tuple[Probl
     """
     smoother = Smoother(prepare(recording), settings)
     loss = Loss("none" if smoother.robust else settings.loss)
-    problem, values = smoother.start(smoother.first_guess().fits()[0], loss)
+    fits = first_fits(smoother.prepared, static=settings.motion == "static")
+    problem, values = smoother.start(fits[0], loss)
     # As it stands: what all clocks have in common is left to their priors.
     return problem.without_shift(), values
 
 
-def _better(one: Solution, other: Solution) -> bool:
-    if not np.isfinite(one.cost):
-        return False
-    return not np.isfinite(other.cost) or one.cost < other.cost
+def sensor_families(problem: Problem) -> list[SensorFamily]:
+    """Return the families of a problem that sensors measured; they stand before all others."""
+    return [family for family in problem.families if isinstance(family, SensorFamily)]
+
+
+def _rank(solution: Solution) -> float:
+    return solution.cost if np.isfinite(solution.cost) else float("inf")
 
 
 def smooth(

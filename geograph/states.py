@@ -7,15 +7,23 @@ An error of a sensor at time t is
 with t the time tag and t0 the recording's first one. Bias and drift are constants of the pass and
 stand in one vector of all sensors; a walk is a chain with a value at every knot, interpolated
 linearly, and stands in the knots' states behind the path. All are scaled: bias and drift by their
-prior sigma, a walk by what its diffusion adds over the pass.
+prior sigma, a walk by what its diffusion adds over the pass. (So a clock, which is in seconds here,
+is of order one for the solver, as it would be in metres.)
+
+A platform whose path is estimated adds position and velocity at every knot, counted from the line
+that fits its fixes best, behind the walks (:mod:`geograph.platforms`). Walks and platforms together
+are called chains.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+
+from geograph.factors.kinematics import interpolation_weights, noise_square_root, transition
+from geograph.platforms import Platform, platforms_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,8 +36,12 @@ AZIMUTH: Final = 0
 ELEVATION: Final = 1
 CLOCK: Final = 2
 POSITION: Final = 3
-CHANNELS: Final = 6
-"""Channels of error: azimuth, elevation (rad), clock (s), position x, y, z (m)."""
+VELOCITY: Final = 6
+FREQUENCY: Final = 9
+SPEED: Final = 10
+CHANNELS: Final = 11
+"""Channels of error: azimuth, elevation (rad), clock (s), position x, y, z (m), velocity x, y, z
+(m/s, of a platform alone), received frequency (Hz), speed of propagation (m/s, common to all)."""
 
 CHANNEL_NAMES: Final = (
     "azimuth",
@@ -38,8 +50,26 @@ CHANNEL_NAMES: Final = (
     "position_x",
     "position_y",
     "position_z",
+    "velocity_x",
+    "velocity_y",
+    "velocity_z",
+    "frequency",
+    "propagation_speed",
 )
-_UNITS: Final = ("rad", "rad", "s", "m", "m", "m")
+_UNITS: Final = ("rad", "rad", "s", "m", "m", "m", "m/s", "m/s", "m/s", "Hz", "m/s")
+
+NO_SENSOR: Final = -1
+"""Index in place of a sensor's for what belongs to the recording as a whole."""
+
+RECORDING_NAME: Final = "(recording)"
+"""Name in place of a sensor's for what belongs to the recording as a whole."""
+
+# A walk starts at zero; this fraction of its scale is small against anything it can become, and
+# large enough to keep the system well conditioned.
+_WALK_START_SIGMA = 1e-3
+
+# The first knot's prior of a platform is this many of its scales wide: its fixes do not feel it.
+_PLATFORM_START_SIGMA = 1e4
 
 
 @dataclass(frozen=True)
@@ -49,7 +79,7 @@ class SensorState:
     Attributes
     ----------
     sensor
-        Index of the sensor.
+        Index of the sensor, or :data:`NO_SENSOR`.
     channel
         Which error it belongs to (see :data:`CHANNEL_NAMES`).
     drift
@@ -67,11 +97,11 @@ class SensorState:
     def name(self) -> str:
         """Name in results: ``azimuth_bias``, ``clock_offset``, ``clock_drift``, ``position_x``."""
         name = CHANNEL_NAMES[self.channel]
-        if self.channel >= POSITION:
-            return name
         if self.drift:
             return f"{name}_drift"
-        return f"{name}_offset" if self.channel == CLOCK else f"{name}_bias"
+        if self.channel <= ELEVATION:
+            return f"{name}_bias"
+        return f"{name}_offset" if self.channel in (CLOCK, FREQUENCY) else name
 
     @property
     def unit(self) -> str:
@@ -120,10 +150,16 @@ class SensorStates:
         Indices of the sensors that have measurements; the others have no states.
     reference_s
         Time t0 that drifts are counted from, seconds.
+    propagation_sigma_m_s
+        Prior sigma of the speed of propagation; zero: known.
     """
 
     def __init__(
-        self, sensors: Sequence[Sensor], active: Sequence[int], reference_s: float
+        self,
+        sensors: Sequence[Sensor],
+        active: Sequence[int],
+        reference_s: float,
+        propagation_sigma_m_s: float = 0.0,
     ) -> None:
         self.reference_s = reference_s
         self.constants: list[SensorState] = []
@@ -135,6 +171,7 @@ class SensorStates:
                 (ELEVATION, errors.elevation_bias_rad, errors.elevation_drift_rad_s),
                 (CLOCK, errors.clock_offset_s, errors.clock_drift_s_s),
                 *((POSITION + axis, errors.position_m, 0.0) for axis in range(3)),
+                (FREQUENCY, errors.frequency_offset_hz, errors.frequency_drift_hz_s),
             )
             for channel, bias, drift in table:
                 if bias > 0.0:
@@ -148,22 +185,85 @@ class SensorStates:
             ):
                 if diffusion > 0.0:
                     self.walks.append(Walk(index, channel, diffusion))
+        if propagation_sigma_m_s > 0.0:
+            self.constants.append(SensorState(NO_SENSOR, SPEED, False, propagation_sigma_m_s))
+        self.platforms: list[Platform] = platforms_of(sensors, active)
         count = len(sensors)
         self.sigma = np.array([state.sigma for state in self.constants])
         self.bias_column = np.full((count, CHANNELS), -1, dtype=np.int64)
         self.drift_column = np.full((count, CHANNELS), -1, dtype=np.int64)
         for column, state in enumerate(self.constants):
             target = self.drift_column if state.drift else self.bias_column
-            target[state.sensor, state.channel] = column
+            owners = slice(None) if state.sensor == NO_SENSOR else state.sensor
+            target[owners, state.channel] = column
         self.walk_column = np.full((count, CHANNELS), -1, dtype=np.int64)
         for column, walk in enumerate(self.walks):
             self.walk_column[walk.sensor, walk.channel] = column
+        self.platform_column = np.full(count, -1, dtype=np.int64)
+        for index, platform in enumerate(self.platforms):
+            self.platform_column[platform.sensor] = len(self.walks) + 6 * index
         self.diffusion = np.array([walk.diffusion for walk in self.walks])
 
     @property
     def size(self) -> int:
         """Number of constant states."""
         return len(self.constants)
+
+    @property
+    def chains(self) -> int:
+        """Number of components that walks and platforms have at every knot."""
+        return len(self.walks) + 6 * len(self.platforms)
+
+    def chain_scale(self, span_s: float) -> NDArray[np.float64]:
+        """Return the scales of the chains' components for a pass of given length, shape (w,), SI.
+
+        Those of a walk are what its diffusion adds over the pass; those of a platform the sigma of
+        a fix, and that over the pass.
+        """
+        parts = [self.diffusion * np.sqrt(span_s)]
+        for platform in self.platforms:
+            parts += [np.full(3, platform.sigma_m), np.full(3, platform.sigma_m / span_s)]
+        return np.concatenate(parts)
+
+    def chain_start_sigma(self) -> NDArray[np.float64]:
+        """Return the prior sigmas of the chains at the first knot, shape (w,), scaled."""
+        return np.concatenate(
+            [
+                np.full(len(self.walks), _WALK_START_SIGMA),
+                np.full(6 * len(self.platforms), _PLATFORM_START_SIGMA),
+            ]
+        )
+
+    def chain_transitions(
+        self, steps_s: NDArray[np.float64], scale: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the chains' transitions and noise roots, each shape (K - 1, w, w), scaled.
+
+        Parameters
+        ----------
+        steps_s
+            Shape (K - 1,): intervals between the knots.
+        scale
+            Shape (w,): from :meth:`chain_scale`.
+        """
+        count, size = steps_s.size, self.chains
+        matrix = np.broadcast_to(np.eye(size), (count, size, size)).copy()
+        root = np.zeros((count, size, size))
+        walk = np.arange(len(self.walks))
+        root[:, walk, walk] = self.diffusion * np.sqrt(steps_s)[:, None]
+        for index, platform in enumerate(self.platforms):
+            first = len(self.walks) + 6 * index
+            own = slice(first, first + 6)
+            matrix[:, own, own] = np.kron(transition(2, steps_s), np.eye(3))
+            root[:, own, own] = platform.process_noise * np.kron(
+                noise_square_root(2, steps_s), np.eye(3)
+            )
+        return matrix * scale / scale[:, None], root / scale[:, None]
+
+    def owner(self, index: int, names: Sequence[str]) -> str:
+        """Return the name of the sensor that a constant state belongs to, for results."""
+        sensor = self.constants[index].sensor
+        return RECORDING_NAME if sensor == NO_SENSOR else names[sensor]
 
     def of_sensor(self, index: int) -> list[int]:
         """Return the columns of one sensor's constant states."""
@@ -180,6 +280,23 @@ class _Entries:
     basis: NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False)
+class ChainShare:
+    """How the chains' values at two knots add up in each of their entries.
+
+    Attributes
+    ----------
+    interval
+        Shape (n,): the knot before each measurement.
+    before, after
+        Shape (f,): weights of the knot before and the one after.
+    """
+
+    interval: NDArray[np.int64]
+    before: NDArray[np.float64]
+    after: NDArray[np.float64]
+
+
 class SensorErrorTerms:
     """What the states add to the errors of a fixed set of measurements.
 
@@ -191,8 +308,8 @@ class SensorErrorTerms:
         Shape (n,), integer: each measurement's sensor.
     time_s
         Shape (n,): its time tag.
-    walk_scale
-        Shape (w,): scale of every walk, SI.
+    chain_scale
+        Shape (w,): scale of every component of the chains, SI.
     """
 
     def __init__(
@@ -200,11 +317,11 @@ class SensorErrorTerms:
         states: SensorStates,
         sensor: NDArray[np.int64],
         time_s: NDArray[np.float64],
-        walk_scale: NDArray[np.float64],
+        chain_scale: NDArray[np.float64],
     ) -> None:
         self.count = sensor.size
         since = time_s - states.reference_s
-        constants = []
+        constants: list[tuple[NDArray[Any], ...]] = []
         for columns, basis in (
             (states.bias_column, np.ones_like(since)),
             (states.drift_column, since),
@@ -212,30 +329,83 @@ class SensorErrorTerms:
             row, channel = np.nonzero(columns[sensor] >= 0)
             column = columns[sensor[row], channel]
             constants.append((row, channel, column, basis[row] * states.sigma[column]))
-        self.constants = _Entries(
-            *(np.concatenate(parts) for parts in zip(*constants, strict=True))
-        )
+        self.constants = _joined(constants)
         row, channel = np.nonzero(states.walk_column[sensor] >= 0)
         column = states.walk_column[sensor[row], channel]
-        self.walks = _Entries(row, channel, column, walk_scale[column])
+        parts: list[tuple[NDArray[Any], ...]] = [(row, channel, column, chain_scale[column])]
+        self._walks = row.size
+        # Of a platform's cubic between two knots: which weight, and which derivative.
+        terms = []
+        row = np.flatnonzero(states.platform_column[sensor] >= 0)
+        first = states.platform_column[sensor[row]]
+        for derivative, channels in ((0, POSITION), (1, VELOCITY)):
+            for block in range(2):
+                for axis in range(3):
+                    column = first + 3 * block + axis
+                    channel = np.full(row.size, channels + axis)
+                    parts.append((row, channel, column, chain_scale[column]))
+                    terms.append(np.full(row.size, 2 * derivative + block))
+        self.chains = _joined(parts)
+        self._term = np.concatenate(terms) if row.size else np.empty(0, dtype=np.int64)
+
+    def share(
+        self,
+        knots_s: NDArray[np.float64],
+        interval: NDArray[np.int64],
+        time_s: NDArray[np.float64],
+    ) -> ChainShare:
+        """Return the weights of both knots in the chains' entries.
+
+        Parameters
+        ----------
+        knots_s
+            Shape (K,), K > 1 where there are chains.
+        interval
+            Shape (n,): in which the chains are read.
+        time_s
+            Shape (n,): the time at which they are read.
+        """
+        row = self.chains.row
+        if not row.size:
+            none = np.empty(0)
+            return ChainShare(interval, none, none)
+        at = interval[row]
+        step, offset = knots_s[at + 1] - knots_s[at], time_s[row] - knots_s[at]
+        # Beyond the interval a walk is what it was at the nearer knot: the mean of its prior there.
+        after = np.clip(offset / step, 0.0, 1.0)
+        before = 1.0 - after
+        if self._term.size:
+            own = slice(self._walks, None)
+            weights = np.stack(
+                [
+                    interpolation_weights(2, step[own], offset[own], derivative=derivative)
+                    for derivative in range(2)
+                ],
+                axis=1,
+            ).reshape(-1, 2, 2, 2)
+            # Axes: entry, derivative, knot, block.
+            entry = np.arange(self._term.size)
+            derivative, block = self._term // 2, self._term % 2
+            before[own] = weights[entry, derivative, 0, block]
+            after[own] = weights[entry, derivative, 1, block]
+        return ChainShare(interval, before, after)
 
     def errors(
         self,
         constants: NDArray[np.float64],
-        walks: NDArray[np.float64] | None,
-        interval: NDArray[np.int64] | None,
-        fraction: NDArray[np.float64] | None,
+        chains: NDArray[np.float64] | None = None,
+        share: ChainShare | None = None,
     ) -> NDArray[np.float64]:
-        """Return the errors of all channels, shape (n, 6), SI units.
+        """Return the errors of all channels, shape (n, CHANNELS), SI units.
 
         Parameters
         ----------
         constants
             Shape (s,): scaled values of the constant states.
-        walks
-            Shape (K, w): scaled values of the walks at the knots; None leaves them out.
-        interval, fraction
-            Shape (n,): place among the knots, as index and fraction of the interval.
+        chains
+            Shape (K, w): scaled values of the chains at the knots; None leaves them out.
+        share
+            Weights of both knots, from :meth:`share`.
         """
         entries = self.constants
         summed = np.bincount(
@@ -244,10 +414,16 @@ class SensorErrorTerms:
             minlength=self.count * CHANNELS,
         )
         value = np.asarray(summed, dtype=np.float64).reshape(self.count, CHANNELS)
-        if walks is not None and interval is not None and fraction is not None:
-            entries = self.walks
-            before = walks[interval[entries.row], entries.column]
-            after = walks[interval[entries.row] + 1, entries.column]
-            walked = before + (after - before) * fraction[entries.row]
-            value[entries.row, entries.channel] += walked * entries.basis
+        if chains is not None and share is not None and self.chains.row.size:
+            entries = self.chains
+            at = share.interval[entries.row]
+            read = (
+                share.before * chains[at, entries.column]
+                + share.after * chains[at + 1, entries.column]
+            )
+            np.add.at(value, (entries.row, entries.channel), read * entries.basis)
         return value
+
+
+def _joined(parts: Sequence[tuple[NDArray[Any], ...]]) -> _Entries:
+    return _Entries(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

@@ -13,7 +13,7 @@ from geograph.factors.kinematics import conditional_covariance, interpolation_ma
 from geograph.geodesy import enu_axes, geodetic_from_ecef
 from geograph.motion import kron_stack
 from geograph.path import BallisticPath
-from geograph.states import CHANNEL_NAMES, CLOCK
+from geograph.states import CHANNEL_NAMES
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -32,7 +32,7 @@ class SensorEstimate:
     Attributes
     ----------
     unit
-        ``rad``, ``rad/s``, ``s``, ``s/s`` or ``m``.
+        ``rad``, ``rad/s``, ``s``, ``s/s``, ``m``, ``Hz``, ``Hz/s`` or ``m/s``.
     estimate, sigma, prior_sigma
         In that unit; measured = predicted + error. ``prior_sigma`` of a walk is what its diffusion
         adds over the pass.
@@ -54,10 +54,13 @@ class Residuals:
         Time tag.
     sensor
         Index of the sensor.
-    kind
-        ``azimuth`` or ``elevation``.
+    reference
+        Index of the sensor that a difference refers to; -1 for what is none.
+    kind, unit
+        ``azimuth`` or ``elevation`` in ``rad``, ``toa`` or ``tdoa`` in ``s``, ``fdoa`` in ``Hz``.
     measured, predicted, residual, sigma
-        Radians; the prediction includes the sensor's estimated errors.
+        In that unit; the prediction includes the sensors' estimated errors, and the estimated time
+        of an emission.
     normalised
         The residual over its sigma (for on-sky sigmas: its part of the angle on the sky).
     weight
@@ -70,7 +73,9 @@ class Residuals:
 
     time_s: NDArray[np.float64]
     sensor: NDArray[np.int64]
+    reference: NDArray[np.int64]
     kind: NDArray[np.str_]
+    unit: NDArray[np.str_]
     measured: NDArray[np.float64]
     predicted: NDArray[np.float64]
     residual: NDArray[np.float64]
@@ -295,7 +300,7 @@ class Track(TrackPoints):
     def sensor_error_at(
         self,
         sensor: str,
-        kind: Literal["azimuth", "elevation", "clock"],
+        kind: Literal["azimuth", "elevation", "clock", "frequency"],
         time_s: ArrayLike,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return one error of a sensor over time: bias, drift and random walk together.
@@ -305,7 +310,7 @@ class Track(TrackPoints):
         sensor
             Name of the sensor.
         kind
-            ``"azimuth"``, ``"elevation"`` (rad) or ``"clock"`` (s).
+            ``"azimuth"``, ``"elevation"`` (rad), ``"clock"`` (s) or ``"frequency"`` (Hz).
         time_s
             Shape (n,), seconds after the epoch.
 
@@ -322,8 +327,8 @@ class Track(TrackPoints):
         names = self.recording.sensor_names
         if sensor not in names:
             raise InputError(f"no sensor {sensor!r}; expected one of " + ", ".join(names))
-        if kind not in CHANNEL_NAMES[: CLOCK + 1]:
-            raise InputError(f"no error {kind!r}; expected azimuth, elevation or clock")
+        if kind not in ("azimuth", "elevation", "clock", "frequency"):
+            raise InputError(f"no error {kind!r}; expected azimuth, elevation, clock or frequency")
         time = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
         states, index, channel = (
             self.problem.states, names.index(sensor), CHANNEL_NAMES.index(kind)

@@ -29,11 +29,18 @@ _UNITS: dict[str, tuple[Unit, ...]] = {
         Unit("arcmin/s", 60.0 * _ARCSECOND),
         Unit("deg/s", 3600.0 * _ARCSECOND),
     ),
-    "s": (Unit("ns", 1e-9), Unit("µs", 1e-6), Unit("ms", 1e-3), Unit("s", 1.0)),
+    "s": (Unit("ps", 1e-12), Unit("ns", 1e-9), Unit("µs", 1e-6), Unit("ms", 1e-3), Unit("s", 1.0)),
     "s/s": (Unit("ppb", 1e-9), Unit("ppm", 1e-6), Unit("s/s", 1.0)),
     "m": (Unit("mm", 1e-3), Unit("m", 1.0), Unit("km", 1e3)),
-    "m/s": (Unit("m/s", 1.0), Unit("km/s", 1e3)),
-    "Hz": (Unit("mHz", 1e-3), Unit("Hz", 1.0), Unit("kHz", 1e3), Unit("MHz", 1e6)),
+    "m/s": (Unit("mm/s", 1e-3), Unit("m/s", 1.0), Unit("km/s", 1e3)),
+    "Hz": (
+        Unit("mHz", 1e-3),
+        Unit("Hz", 1.0),
+        Unit("kHz", 1e3),
+        Unit("MHz", 1e6),
+        Unit("GHz", 1e9),
+    ),
+    "Hz/s": (Unit("mHz/s", 1e-3), Unit("Hz/s", 1.0), Unit("kHz/s", 1e3)),
 }
 
 

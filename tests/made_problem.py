@@ -203,11 +203,16 @@ def dense_jacobian(found, values):
         found.constant_row, found.constant_column, found.by_constants, strict=True
     ):
         by_constants[n, :, column] += value
-    for n, column, share, value in zip(
-        found.walk_row, found.walk_column, found.walk_fraction, found.by_walks, strict=True
+    for n, column, before, after, value in zip(
+        found.walk_row,
+        found.walk_column,
+        found.walk_before,
+        found.walk_after,
+        found.by_walks,
+        strict=True,
     ):
         k = found.interval[n]
-        by_walks[n, :, k, column] += (1.0 - share) * value
-        by_walks[n, :, k + 1, column] += share * value
+        by_walks[n, :, k, column] += before * value
+        by_walks[n, :, k + 1, column] += after * value
     parts = [part.reshape(count * rows, -1) for part in (by_path, by_walks, by_constants)]
     return np.concatenate(parts, axis=1)

@@ -100,6 +100,7 @@ def make_track(
             np.full(np.shape(t), 3e-5),
         ),
         residuals=residuals,
+        problem=SimpleNamespace(states=SimpleNamespace(platforms=[])),
         status=MadeStatus(status),
         summary=_summary(name, status, residuals, table, knots),
     )
@@ -176,6 +177,8 @@ def _residuals(rng, bearings, table, target, outliers):
     return SimpleNamespace(
         time_s=np.repeat(bearings.time_s, 2),
         sensor=np.repeat(bearings.sensor, 2),
+        reference=np.full(2 * len(bearings), -1),
+        unit=np.full(2 * len(bearings), "rad"),
         kind=np.tile(["azimuth", "elevation"], len(bearings)),
         measured=predicted + normalised * sigma,
         predicted=predicted,

@@ -29,7 +29,8 @@ def random_evaluation(rng, layout, interval, rows):
         by_constants=sparse["constant"][2],
         walk_row=sparse["walk"][0],
         walk_column=sparse["walk"][1],
-        walk_fraction=rng.random(sparse["walk"][0].size),
+        walk_before=rng.random(sparse["walk"][0].size),
+        walk_after=rng.random(sparse["walk"][0].size),
         by_walks=sparse["walk"][2],
     )
 
@@ -46,9 +47,8 @@ def expected_blocks(layout, intervals, scale, found, root):
             rows[:, layout.states + found.constant_column[entry]] = found.by_constants[entry]
         for entry in np.flatnonzero(found.walk_row == n):
             column = layout.path + found.walk_column[entry]
-            share = found.walk_fraction[entry]
-            rows[:, column] = (1.0 - share) * found.by_walks[entry]
-            rows[:, column + layout.knot] = share * found.by_walks[entry]
+            rows[:, column] = found.walk_before[entry] * found.by_walks[entry]
+            rows[:, column + layout.knot] = found.walk_after[entry] * found.by_walks[entry]
         rows[:, -1] = found.residual[n]
         if root is not None:
             rows *= root[n]

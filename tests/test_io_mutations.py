@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from recordings import valid_files, write_files
+from recordings import FULL_HEADER, all_files, write_files
 
 import geograph as gg
 from geograph.errors import InputError
@@ -31,7 +31,14 @@ KEYS = [
     *("format", "frame", "epoch", "sensors", "smooth", "geodetic", "position_m", "trajectory"),
     *("axes", "errors", "correlation", "refraction", "motion", "process_noise", "loss", "terrain"),
     *("process_noise_along", "spacing_s", "max_iterations", "propagation_speed_m_s", '""', "é"),
-    *("azimuth_bias_deg", "azimuth_bias_rad", "clock_offset_s"),
+    *(
+        "azimuth_bias_deg",
+        "azimuth_bias_rad",
+        "clock_offset_s",
+        "clock_offset_m",
+        "frequency_offset_hz",
+    ),
+    *("propagation_sigma_m_s", "platform_process_noise", "position_noise_m"),
 ]
 RELAXED = settings(
     max_examples=800,
@@ -118,7 +125,7 @@ def mutilated(files: dict[str, bytes], seed: int) -> dict[str, bytes]:
 @RELAXED
 @given(seed=st.integers(0, 2**63))
 def test_mutilated_folders(tmp_path: Path, seed: int) -> None:
-    files = {name: text.encode() for name, text in valid_files().items()}
+    files = {name: text.encode() for name, text in all_files().items()}
     shutil.rmtree(tmp_path / "x", ignore_errors=True)
     reads_or_says_why(write_files(tmp_path / "x", mutilated(files, seed)))
 
@@ -128,7 +135,7 @@ def test_mutilated_folders(tmp_path: Path, seed: int) -> None:
 def test_mutilated_parquet(tmp_path: Path, seed: int) -> None:
     pytest.importorskip("pyarrow")
     if not (tmp_path / "p").exists():
-        write_files(tmp_path / "a", valid_files())
+        write_files(tmp_path / "a", all_files())
         gg.write(gg.read(tmp_path / "a"), tmp_path / "p", tables="parquet")
     files = {entry.name: entry.read_bytes() for entry in (tmp_path / "p").iterdir()}
     rng = random.Random(seed)
@@ -143,7 +150,7 @@ def test_mutilated_parquet(tmp_path: Path, seed: int) -> None:
 def test_mutilated_zip(tmp_path: Path, seed: int) -> None:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, text in valid_files().items():
+        for name, text in all_files().items():
             archive.writestr(zipfile.ZipInfo(name), text)
     path = tmp_path / "x.zip"
     path.write_bytes(mutate_bytes(file.getvalue(), random.Random(seed)))
@@ -162,7 +169,7 @@ toml_values = st.recursive(
 
 @RELAXED
 @given(
-    place=st.integers(0, 17),
+    place=st.integers(0, len(FULL_HEADER.splitlines())),
     key=st.sampled_from(KEYS),
     value=toml_values,
     replace=st.booleans(),
@@ -170,7 +177,7 @@ toml_values = st.recursive(
 def test_values_of_wrong_types(
     tmp_path: Path, place: int, key: str, value: str, replace: bool
 ) -> None:
-    files = valid_files()
+    files = all_files()
     lines = files["recording.toml"].splitlines()
     lines[place : place + replace] = [f"{key} = {value}"]
     files["recording.toml"] = "\n".join(lines)

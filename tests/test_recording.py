@@ -5,55 +5,25 @@ from __future__ import annotations
 import dataclasses
 import pathlib
 import re
-import shutil
 import zipfile
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from recordings import BEARINGS, valid_files, write_files
+from recordings import BEARINGS, all_files, assert_equal, valid_files, write_files
 
 import geograph as gg
 from geograph.errors import InputError
 from geograph.io import convert
-from geograph.io.reader import (
-    BEARING_COLUMNS,
-    CONSTRAINT_COLUMNS,
-    TRAJECTORY_COLUMNS,
-    TRUTH_COLUMNS,
-)
-from geograph.io.writer import exact_degrees
-from geograph.measurements import Bearings, Constraints, Truth
-from geograph.recording import Recording, SmoothSettings
-from geograph.sensors import Sensor, SensorErrors, Trajectory
+from geograph.io.header import _METRE_KEYS, _SENSOR_KEYS, _TOP_KEYS
+from geograph.io.measurement_tables import MEASUREMENT_COLUMNS
+from geograph.io.reader import CONSTRAINT_COLUMNS, TRAJECTORY_COLUMNS, TRUTH_COLUMNS
+from geograph.recording import SmoothSettings
+from geograph.sensors import SensorErrors
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-def assert_equal(one: Recording, other: Recording) -> None:
-    """Assert that all but names of places and lines is the same to the last bit."""
-
-    def compare(first: object, second: object, where: str) -> None:
-        assert type(first) is type(second), where
-        if isinstance(first, np.ndarray):
-            np.testing.assert_array_equal(first, second, err_msg=where)
-        elif dataclasses.is_dataclass(first):
-            for entry in dataclasses.fields(first):
-                if entry.name not in ("line", "path") and where + entry.name != "name":
-                    ours, theirs = getattr(first, entry.name), getattr(second, entry.name)
-                    compare(ours, theirs, f"{where}{entry.name}.")
-        elif isinstance(first, dict):
-            assert list(first) == list(second), where
-            for key in first:
-                compare(first[key], second[key], f"{where}{key}.")
-        else:
-            assert first == second, where
-
-    compare(one, other, "")
 
 
 def test_values_as_they_stand(tmp_path: Path) -> None:
@@ -163,155 +133,24 @@ def test_zip(tmp_path: Path, folder: str) -> None:
 @pytest.mark.parametrize("tables", ["csv", "parquet"])
 @pytest.mark.parametrize("suffix", ["", ".zip"])
 def test_conversions_there_and_back(tmp_path: Path, tables: str, suffix: str) -> None:
-    original = gg.read(write_files(tmp_path / "a", valid_files()))
+    original = gg.read(write_files(tmp_path / "a", all_files()))
     converted = convert([tmp_path / "a"], tmp_path / f"b{suffix}", tables=tables)
     assert converted.name == "b"
     assert converted.path == tmp_path / f"b{suffix}"
     assert_equal(original, converted)
-    assert original.bearings is not None
-    assert converted.bearings is not None
-    np.testing.assert_array_equal(original.bearings.line, converted.bearings.line)
+    assert list(original.tables) == list(MEASUREMENT_COLUMNS)
+    for name, table in original.tables.items():
+        np.testing.assert_array_equal(table.line, converted.tables[name].line)
     assert_equal(original, convert([tmp_path / f"b{suffix}"], tmp_path / "c"))
     # Angles that were given in degrees are in degrees again, with their own digits.
-    assert (tmp_path / "c" / "bearings.csv").read_text() == BEARINGS
-
-
-numbers = st.floats(-1e6, 1e6)
-sigmas = st.floats(1e-9, 0.1)
-names = st.text(st.characters(exclude_categories=["C", "Z"]), min_size=1, max_size=8)
-
-
-@st.composite
-def trajectories(draw: st.DrawFn) -> Trajectory:
-    count = draw(st.integers(2, 4))
-    position = np.array([[7e6, 0.0, 0.0]]) + np.array(
-        draw(st.lists(st.tuples(numbers, numbers, numbers), min_size=count, max_size=count))
-    )
-    turned = draw(st.booleans())
-    attitude = np.array(draw(st.lists(st.floats(-6, 6), min_size=count * 3, max_size=count * 3)))
-    return Trajectory(
-        np.linspace(-1e4, 1e4, count), position, attitude.reshape(-1, 3) if turned else None
-    )
-
-
-@st.composite
-def sensors(draw: st.DrawFn, name: str) -> Sensor:
-    trajectory = draw(st.none() | trajectories())
-    position = np.add(draw(st.tuples(numbers, numbers, numbers)), (0.0, 0.0, 7.5e6))
-    errors = {
-        entry.name: draw(st.just(0.0) | st.floats(0.0, 10.0, allow_subnormal=False))
-        for entry in dataclasses.fields(SensorErrors)
-        if entry.name != "misalignment_rad"
-    }
-    axes = draw(st.sampled_from(["enu", "xyz"]))
-    return Sensor(
-        name=name,
-        position_m=None if trajectory else position,
-        trajectory=trajectory,
-        axes=axes,
-        errors=SensorErrors(**errors),
-        correlation=draw(st.floats(0.0, 1.0)),
-        refraction=draw(st.sampled_from(["none", "standard"])) if axes == "enu" else "none",
-    )
-
-
-@st.composite
-def bearings_of(draw: st.DrawFn, sensor_count: int) -> Bearings:
-    row = st.tuples(
-        st.floats(-1e4, 1e4),
-        st.integers(0, sensor_count - 1),
-        st.floats(-6.28, 6.28),
-        st.just(np.nan) | st.floats(-1.57, 1.57),
-        sigmas,
-        sigmas,
-        st.booleans(),
-    )
-    columns = [np.array(c) for c in zip(*draw(st.lists(row, min_size=1, max_size=6)), strict=True)]
-    alone = np.isnan(columns[3])
-    isotropic = columns[6] & ~alone
-    return Bearings(
-        time_s=columns[0],
-        sensor=columns[1],
-        azimuth_rad=columns[2],
-        elevation_rad=columns[3],
-        sigma_azimuth_rad=columns[4],
-        sigma_elevation_rad=np.where(isotropic | alone, columns[4], columns[5]),
-        isotropic=isotropic,
-        line=np.zeros(alone.size, dtype=np.int64),
-    )
-
-
-@st.composite
-def recordings(draw: st.DrawFn) -> Recording:
-    frame = draw(st.sampled_from(["ecef", "local"]))
-    used = draw(st.lists(names, min_size=1, max_size=3, unique=True))
-    bearings = draw(bearings_of(len(used)))
-    constraints, truth = None, None
-    if draw(st.booleans()):
-        constraints = Constraints(
-            time_s=np.array([np.nan, draw(numbers)]),
-            kind=("altitude_m", "speed_m_s"),
-            value=np.array([draw(numbers), abs(draw(numbers))]),
-            sigma=np.array([draw(sigmas), draw(sigmas)]),
-            line=np.zeros(2, dtype=np.int64),
-        )
-    if draw(st.booleans()):
-        truth = Truth(
-            time_s=np.array([-1e4, 1e4]),
-            position_m=np.array(draw(st.lists(numbers, min_size=6, max_size=6))).reshape(2, 3),
-            velocity_m_s=draw(st.none() | st.just(np.ones((2, 3)))),
-        )
-    return Recording(
-        name="pass",
-        frame=frame,
-        sensors={name: draw(sensors(name)) for name in used},
-        bearings=bearings,
-        constraints=constraints,
-        truth=truth,
-        epoch=draw(st.datetimes(timezones=st.just(UTC))) if frame == "ecef" else None,
-        propagation_speed_m_s=draw(st.sampled_from([299792458.0, 343.0, np.inf])),
-        settings=SmoothSettings(
-            motion=draw(st.sampled_from(["static", "ballistic", "constant-velocity"])),
-            process_noise=draw(st.just("auto") | sigmas | st.tuples(sigmas, sigmas, sigmas)),
-            spacing_s=draw(st.none() | sigmas),
-            loss=draw(st.sampled_from(["auto", "cauchy", "gnc"])),
-            max_iterations=draw(st.integers(1, 1000)),
-        ),
-    )
-
-
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(recording=recordings(), tables=st.sampled_from(["csv", "parquet"]))
-def test_round_trip(tmp_path: Path, recording: Recording, tables: str) -> None:
-    folder = tmp_path / "pass"
-    shutil.rmtree(folder, ignore_errors=True)
-    written = gg.write(recording, folder, tables=tables)
-    assert_equal(recording, written)
-    assert_equal(recording, gg.read(folder))
-
-
-@given(st.lists(st.floats(-400.0, 400.0), min_size=1))
-def test_degrees_survive_radians(values: list[float]) -> None:
-    radians = np.radians(values)
-    degrees = exact_degrees(radians)
-    assert degrees is not None
-    np.testing.assert_array_equal(np.radians(degrees), radians)
-
-
-@given(st.decimals(-360, 360, places=6))
-def test_degrees_keep_their_digits(value: object) -> None:
-    angle = float(str(value))
-    degrees = exact_degrees(np.radians([angle]))
-    assert degrees is not None
-    assert degrees[0] == angle
+    for name in MEASUREMENT_COLUMNS:
+        assert (tmp_path / "c" / f"{name}.csv").read_text() == all_files()[f"{name}.csv"]
 
 
 def test_writing_never_leaves_an_invalid_recording(tmp_path: Path) -> None:
     recording = gg.read(write_files(tmp_path / "a", valid_files()))
     bare = dataclasses.replace(recording, bearings=None, truth=None)
-    with pytest.raises(InputError, match=r"cannot be written as a recording: .*no measurement"):
+    with pytest.raises(InputError, match=r"cannot be written as a recording: .*no table of meas"):
         gg.write(bare, tmp_path / "b")
     assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
     nameless = dataclasses.replace(recording, epoch=datetime(2021, 1, 1))
@@ -360,8 +199,11 @@ def test_the_recording_of_the_document(tmp_path: Path) -> None:
 
 def test_the_document_names_every_key_and_column() -> None:
     text = (pathlib.Path(__file__).parents[1] / "docs" / "format.md").read_text(encoding="utf-8")
-    columns = BEARING_COLUMNS + CONSTRAINT_COLUMNS + TRUTH_COLUMNS + TRAJECTORY_COLUMNS
+    columns = CONSTRAINT_COLUMNS + TRUTH_COLUMNS + TRAJECTORY_COLUMNS
+    for more in MEASUREMENT_COLUMNS.values():
+        columns += more
     names = {spec.names_in_file[0] for spec in columns}
+    names |= {*MEASUREMENT_COLUMNS, *_TOP_KEYS, *_SENSOR_KEYS, *_METRE_KEYS}
     names |= {entry.name.replace("_rad", "_deg") for entry in dataclasses.fields(SensorErrors)}
     # How the equations are solved is not a property of a recording.
     names |= {entry.name for entry in dataclasses.fields(SmoothSettings)} - {"elimination"}

@@ -313,7 +313,7 @@ def test_constraints_beyond_the_path_are_refused(time: float) -> None:
         time_s=np.array([np.nan, 30.0, time]), kind=("altitude_m",) * 3, value=np.full(3, 1e3),
         sigma=np.full(3, 1e3), line=np.arange(2, 5),
     )  # fmt: skip
-    with pytest.raises(gg.InputError, match=f"line 4, column time_s: {time:g}, and the bearings"):
+    with pytest.raises(gg.InputError, match=f"line 4, column time_s: {time:g}, and the measure"):
         gg.smooth(gg.Recording(**{**vars(made), "constraints": table}))
     clocks = {
         name: gg.Sensor(name=name, position_m=sensor.position_m, axes="xyz",

@@ -3,7 +3,16 @@
 import numpy as np
 
 from geograph.sensors import Sensor, SensorErrors
-from geograph.states import AZIMUTH, CLOCK, ELEVATION, POSITION, SensorErrorTerms, SensorStates
+from geograph.states import (
+    AZIMUTH,
+    CHANNELS,
+    CLOCK,
+    ELEVATION,
+    POSITION,
+    VELOCITY,
+    SensorErrorTerms,
+    SensorStates,
+)
 
 SENSORS = [
     Sensor(name="A", position_m=np.zeros(3), errors=SensorErrors(azimuth_bias_rad=0.1)),
@@ -55,7 +64,7 @@ def test_errors_are_bias_and_drift_and_walk():
     sensor, time = np.array([2, 0, 1, 2]), np.array([100.0, 103.0, 104.0, 110.0])
     terms = SensorErrorTerms(STATES, sensor, time, np.array([0.5, 0.25]))
     constants = np.array([3.0, 1.0, 2.0, -1.0, 0.5, 0.25, -2.0, 1.0, 2.0, 3.0])
-    expected = np.zeros((4, 6))
+    expected = np.zeros((4, CHANNELS))
     expected[0, [AZIMUTH, ELEVATION, CLOCK]] = 0.2, -0.3, 1.0
     expected[1, AZIMUTH] = 0.3
     expected[3, [AZIMUTH, ELEVATION, CLOCK]] = (
@@ -63,14 +72,15 @@ def test_errors_are_bias_and_drift_and_walk():
         -0.3 + 0.5 * 0.02 * 10.0,
         1.0 - 2.0 * 0.5 * 10.0,
     )
-    expected[[0, 3], POSITION:] = 7.0, 14.0, 21.0
-    np.testing.assert_allclose(terms.errors(constants, None, None, None), expected, atol=1e-15)
+    expected[[0, 3], POSITION:VELOCITY] = 7.0, 14.0, 21.0
+    np.testing.assert_allclose(terms.errors(constants), expected, atol=1e-15)
 
     walks = np.array([[0.0, 0.0], [1.0, -2.0], [3.0, 4.0]])
-    interval, fraction = np.array([0, 0, 1, 1]), np.array([0.5, 0.1, 0.3, 0.25])
+    knots, interval = np.array([0.0, 10.0, 20.0]), np.array([0, 0, 1, 1])
+    share = terms.share(knots, interval, np.array([5.0, 1.0, 13.0, 12.5]))
     expected[0, [AZIMUTH, CLOCK]] += 0.5 * 0.5, 0.25 * -1.0
     expected[3, [AZIMUTH, CLOCK]] += 0.5 * 1.5, 0.25 * -0.5
-    found = terms.errors(constants, walks, interval, fraction)
+    found = terms.errors(constants, walks, share)
     np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
@@ -79,4 +89,4 @@ def test_sensors_without_errors_have_no_states():
     assert states.size == 0
     assert not states.walks
     terms = SensorErrorTerms(states, np.zeros(3, dtype=int), np.zeros(3), np.empty(0))
-    assert not terms.errors(np.empty(0), None, None, None).any()
+    assert not terms.errors(np.empty(0)).any()

@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from geograph.cli.bound_command import bound
+
 _PANEL = "Settings that override the recording's own"
 
 app = typer.Typer(
@@ -142,13 +144,15 @@ def smooth(
 
 @app.command()
 def example(
-    name: Annotated[str | None, typer.Argument(help="Which one; see --list.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(help="winchcombe or locards; --list says what they are.")
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")
     ] = None,
     list_: Annotated[bool, typer.Option("--list", help="List the shipped recordings.")] = False,
 ) -> None:
-    """Write a shipped real recording, ready to smooth."""
+    """Write a shipped real recording, or a set of them, ready to smooth."""
     from geograph import examples
     from geograph.errors import InputError
 
@@ -158,8 +162,14 @@ def example(
         return
     if name is None or output is None:
         raise InputError("expected a name and -o DIR; the names are shown by --list")
-    examples.write_example(name, output)
-    typer.echo(f"wrote {output}; smooth it with: geograph smooth {output} -o RESULTS")
+    written = examples.write_example(name, output)
+    if written == [output]:
+        typer.echo(f"wrote {output}; smooth it with: geograph smooth {output} -o RESULTS")
+    else:
+        typer.echo(
+            f"wrote {len(written)} recordings into {output}; smooth them with: "
+            f"geograph smooth {output}/* -o RESULTS"
+        )
 
 
 @app.command()
@@ -240,3 +250,6 @@ def compare(
 
     figures = compare_paths(read_path(track), read_truth(truth)).figures()
     typer.echo(json_text(figures) if json else comparison_text(figures))
+
+
+app.command()(bound)

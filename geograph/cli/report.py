@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geograph.results.facts import estimate_text, length_text, rounded, static_facts
+from geograph.states import RECORDING_NAME
 from geograph.units import fitting_unit
 
 if TYPE_CHECKING:
@@ -15,8 +18,10 @@ if TYPE_CHECKING:
 
     from geograph.batch import Outcome
     from geograph.results import ErrorState, Results
+    from geograph.units import Unit
 
 _MOST_SENSORS, _MOST_ROWS, _MOST_NOTES = 20, 30, 8
+_WIDTH = 120
 
 
 def results_text(results: Results, folder: Path) -> str:
@@ -24,8 +29,8 @@ def results_text(results: Results, folder: Path) -> str:
     facts = results.summary
     parts = [
         _headline(results),
-        _table(_path_rows(results)),
-        _table(_sensor_rows(results)),
+        _static_text(results) if results.static else _table(_path_rows(results)),
+        *map(_table, _sensor_tables(results)),
         _notes(results),
         f"written to {folder}",
     ]
@@ -58,6 +63,12 @@ def _number(value: Any) -> str:
     return "?" if value is None else f"{value:.4g}"
 
 
+def _static_text(results: Results) -> str:
+    facts = static_facts(results)
+    width = max(len(name) for name, _ in facts)
+    return "\n".join(f"{name.ljust(width)}  {text}" for name, text in facts)
+
+
 def _path_rows(results: Results) -> list[list[str]]:
     geodetic = results.geodetic()
     where = ["x (m)", "y (m)", "z (m)"]
@@ -79,39 +90,57 @@ def _path_rows(results: Results) -> list[list[str]]:
         else:
             latitude, longitude, height = geodetic[knot]
             place = [f"{latitude:.6f}", f"{longitude:.6f}", f"{height:.1f}"]
-        spread = [f"{value:.3g}" for value in np.sqrt(np.diag(covariance[knot]))]
+        spread = [rounded(value) for value in np.sqrt(np.diag(covariance[knot]))]
         # Light takes microseconds: no minus zero.
         time = round(float(results.time_s[knot]), 3) + 0.0
         row = [label, f"{time:.3f}", *place, *spread]
         if speed is not None and sigma_speed is not None:
-            row += [f"{speed[knot]:.1f}", f"{sigma_speed[knot]:.2g}"]
+            row += [f"{speed[knot]:.1f}", rounded(sigma_speed[knot], 2)]
         rows.append(row)
     return rows
 
 
-def _sensor_rows(results: Results) -> list[list[str]]:
-    states = list(dict.fromkeys(error.state for error in results.errors))
-    units = {
-        state: fitting_unit(
-            next(error.unit for error in results.errors if error.state == state),
-            [[error.estimate, error.sigma] for error in results.errors if error.state == state],
-        )
-        for state in states
-    }
-    by_name = {(error.sensor, error.state): error for error in results.errors}
-    header = ["sensor", "measured", "rejected", "rms/sigma"]
-    header += [f"{state.replace('_', ' ')} ({units[state].name})" for state in states]
-    rows = [header]
-    for place in results.sensors[:_MOST_SENSORS]:
-        facts = results.summary.get("sensors", {}).get(place.sensor, {})
-        rejected = sum(entry["sensor"] == place.sensor for entry in results.summary["rejected"])
-        row = [place.sensor, str(facts.get("measurements", "")), str(rejected)]
-        row.append(_number(_rms(results, place.sensor)))
-        for state in states:
-            error = by_name.get((place.sensor, state))
-            row.append("-" if error is None else _estimate(error, units[state].size))
-        rows.append(row)
-    return rows
+def _sensor_tables(results: Results) -> list[list[list[str]]]:
+    """Return the sensors' measurements and errors, in as many tables as fit a terminal's width."""
+    shown = [place.sensor for place in results.sensors[:_MOST_SENSORS]]
+    first, columns = _measured_columns(results, shown), _error_columns(results, shown)
+    tables, names = [], ["sensor", *shown]
+    current = [names, *first]
+    for column in columns:
+        if sum(max(map(len, own)) + 2 for own in [*current, column]) > _WIDTH:
+            tables.append(current)
+            current = [names]
+        current.append(column)
+    return [[list(row) for row in zip(*table, strict=True)] for table in [*tables, current]]
+
+
+def _measured_columns(results: Results, shown: list[str]) -> list[list[str]]:
+    facts = [results.summary.get("sensors", {}).get(sensor, {}) for sensor in shown]
+    lost = Counter(entry["sensor"] for entry in results.summary["rejected"])
+    columns = [["measured", *(str(entry.get("measurements", "")) for entry in facts)]]
+    if any(entry.get("as_reference") for entry in facts):
+        columns.append(["as reference", *(str(entry.get("as_reference", "")) for entry in facts)])
+    columns.append(["rejected", *(str(lost[sensor]) for sensor in shown)])
+    values = [_rms(results, sensor) for sensor in shown]
+    columns.append(["rms/sigma", *("-" if v is None else _number(v) for v in values)])
+    return columns
+
+
+def _error_columns(results: Results, shown: list[str]) -> list[list[str]]:
+    """Return a column for each error that any of the sensors shown has, in a unit that suits it."""
+    columns = []
+    for state in dict.fromkeys(error.state for error in results.errors):
+        errors = {error.sensor: error for error in results.errors if error.state == state}
+        if not errors.keys() & set(shown):
+            continue
+        unit = _unit_of(list(errors.values()))
+        cells = [_estimate(errors[name], unit) if name in errors else "-" for name in shown]
+        columns.append([f"{state.replace('_', ' ')} ({unit.name})", *cells])
+    return columns
+
+
+def _unit_of(errors: list[ErrorState]) -> Unit:
+    return fitting_unit(errors[0].unit, [[error.estimate, error.sigma] for error in errors])
 
 
 def _rms(results: Results, sensor: str) -> float | None:
@@ -120,13 +149,19 @@ def _rms(results: Results, sensor: str) -> float | None:
     return float(np.sqrt(np.mean(used**2))) if used.size else None
 
 
-def _estimate(error: ErrorState, size: float) -> str:
+def _estimate(error: ErrorState, unit: Unit) -> str:
     mark = " !" if error.surprising else "  "
-    return f"{error.estimate / size:+.3g} ± {error.sigma / size:.2g}{mark}"
+    return estimate_text(error, unit) + mark
 
 
 def _notes(results: Results) -> str:
     notes = []
+    for error in results.errors:
+        if error.sensor == RECORDING_NAME:
+            unit = _unit_of([error])
+            what = error.state.replace("_", " ")
+            notes.append(f"{what} off by {_estimate(error, unit).rstrip(' !')} {unit.name}")
+    notes += _fixes_note(results)
     if results.surprising_errors():
         notes.append("! further than 3 prior sigmas from zero")
     if len(results.sensors) > _MOST_SENSORS:
@@ -137,6 +172,21 @@ def _notes(results: Results) -> str:
         if len(sentences) > _MOST_NOTES:
             notes.append(f"... {len(sentences) - _MOST_NOTES} more in summary.json ({key})")
     return "\n".join(notes)
+
+
+def _fixes_note(results: Results) -> list[str]:
+    """Tell how well the platforms are known, in the middle of the recording."""
+    if not results.platforms:
+        return []
+    count = len(results.platforms)
+    sigma = [
+        float(np.sqrt(np.trace(path.position_covariance_m2[path.time_s.size // 2])))
+        for path in results.platforms
+    ]
+    return [
+        f"paths of {count} sensors estimated from their fixes, to {length_text(min(sigma))} "
+        f"(best) and {length_text(max(sigma))} (worst) at mid-time; see platforms.csv"
+    ]
 
 
 def batch_text(outcomes: Sequence[Outcome], folder: Path) -> str:

@@ -6,15 +6,26 @@ sensor states and by the walks. The batch engine, the stacked GTSAM factors, the
 and the residual report all call the same pass.
 """
 
-from geograph.families.base import Evaluation, Family, Values
+from geograph.families.arrivals import ArrivalFamily
+from geograph.families.base import Evaluation, Family, Report, SensorFamily, Values
 from geograph.families.bearings import BearingFamily
 from geograph.families.constraints import AltitudeFamily, SpeedFamily
+from geograph.families.differences import FrequencyDifferenceFamily, TimeDifferenceFamily
+from geograph.families.fixes import FixFamily
+from geograph.families.rays import World
 
 __all__ = [
     "AltitudeFamily",
+    "ArrivalFamily",
     "BearingFamily",
     "Evaluation",
     "Family",
+    "FixFamily",
+    "FrequencyDifferenceFamily",
+    "Report",
+    "SensorFamily",
     "SpeedFamily",
+    "TimeDifferenceFamily",
     "Values",
+    "World",
 ]

@@ -11,6 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.common import Common
     from geograph.path import Path, PathState
 
 
@@ -23,7 +24,8 @@ class Values:
     path
         Shape (K, 3 order): states of the knots, SI units, in the recording's frame.
     walks
-        Shape (K, w): random walks at the knots, scaled (see :mod:`geograph.states`).
+        Shape (K, w): chains at the knots, random walks and platforms, scaled (see
+        :mod:`geograph.states`).
     constants
         Shape (s,): constant sensor states over their prior sigmas.
     """
@@ -47,9 +49,11 @@ class Evaluation:
         Shape (n, r, 2, 3 order), SI, or None where no derivatives were asked for.
     constant_row, constant_column, by_constants
         Shapes (e,), (e,), (e, r): entries of the derivative by constant states (scaled).
-    walk_row, walk_column, walk_fraction, by_walks
-        Shapes (f,), (f,), (f,), (f, r): entries of the derivative by the walks' values (scaled);
-        the knot before has the share 1 - fraction of it, the knot after the share fraction.
+    walk_row, walk_column, walk_before, walk_after, by_walks
+        Shapes (f,), four times, and (f, r): entries of the derivative by the chains' values
+        (scaled), with the weights of the knot before and of the one after.
+    common
+        Unknowns that a few measurements share, or None.
     """
 
     residual: NDArray[np.float64]
@@ -60,8 +64,10 @@ class Evaluation:
     by_constants: NDArray[np.float64]
     walk_row: NDArray[np.int64]
     walk_column: NDArray[np.int64]
-    walk_fraction: NDArray[np.float64]
+    walk_before: NDArray[np.float64]
+    walk_after: NDArray[np.float64]
     by_walks: NDArray[np.float64]
+    common: Common | None = None
 
 
 _NO_INDEX = np.empty(0, dtype=np.int64)
@@ -76,8 +82,33 @@ def path_only_evaluation(
     none = np.empty((0, residual.shape[1]))
     return Evaluation(
         residual, interval, by_knots, _NO_INDEX, _NO_INDEX, none, _NO_INDEX, _NO_INDEX,
-        np.empty(0), none,
+        np.empty(0), np.empty(0), none,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What n measurements of r rows were, and what the estimate makes of them.
+
+    Attributes
+    ----------
+    kinds, units
+        Of each row, r of them: what was measured, in which SI unit.
+    exists
+        Shape (n, r): which rows there are.
+    measured, predicted, sigma
+        Shape (n, r), in those units; the prediction includes the sensors' estimated errors.
+    normalised
+        Shape (n, r): residual (measured less predicted) over its sigma.
+    """
+
+    kinds: tuple[str, ...]
+    units: tuple[str, ...]
+    exists: NDArray[np.bool_]
+    measured: NDArray[np.float64]
+    predicted: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    normalised: NDArray[np.float64]
 
 
 class Family(ABC):
@@ -96,7 +127,7 @@ class Family(ABC):
     """Shape (n,): lines in the file."""
 
     row_count: int
-    """Scalar measurements in all (rows that exist)."""
+    """Scalar measurements in all (rows that exist, less the unknowns that rows share)."""
 
     def __len__(self) -> int:
         return int(self.time_s.size)
@@ -117,3 +148,67 @@ class Family(ABC):
         Noise that depends on the geometry, and the times at which walks are read, are constants of
         one solve; the smoother calls this between solves until they no longer change.
         """
+
+
+class SensorFamily(Family):
+    """One kind of measurement that sensors took; its outliers are found and rejected."""
+
+    sensor: NDArray[np.int64]
+    """Shape (n,): index of the sensor."""
+
+    reference: NDArray[np.int64] | None = None
+    """Shape (n,): index of the sensor that it is a difference to, if it is one."""
+
+    row_counts: NDArray[np.int64]
+    """Shape (n,): rows of each measurement."""
+
+    weight: NDArray[np.float64]
+    """Shape (n,): weights of the information, for correlated errors."""
+
+    path_noise_m: NDArray[np.float64]
+    path_noise_m_s: NDArray[np.float64]
+    """Shape (n,): what position and velocity may deviate by between knots; for :meth:`refresh`."""
+
+    @abstractmethod
+    def squares(self, found: Evaluation) -> NDArray[np.float64]:
+        """Return squared whitened residuals, shape (n,), the weights for correlation taken out."""
+
+    @abstractmethod
+    def emissions(
+        self, path: Path, values: Values
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return distances from the sensors (m) and times of emission (s), each shape (n,)."""
+
+    @abstractmethod
+    def resolution_m(
+        self, distance_m: NDArray[np.float64], speed_m_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return about how well each measurement alone locates the object, shape (n,), metres.
+
+        Parameters
+        ----------
+        distance_m
+            Shape (n,): from the sensor.
+        speed_m_s
+            Shape (n,): of the object against the sensor.
+        """
+
+    def velocity_resolution_m_s(self) -> NDArray[np.float64] | None:
+        """Return how well each measurement resolves a velocity, shape (n,); None: not at all."""
+        return None
+
+    @abstractmethod
+    def clock_resolution_s(
+        self, distance_m: NDArray[np.float64], speed_m_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return how well each measurement resolves its sensor's clock, shape (n,), seconds.
+
+        Parameters
+        ----------
+        distance_m, speed_m_s
+            As of :meth:`resolution_m`.
+        """
+
+    @abstractmethod
+    def report(self, path: Path, values: Values, found: Evaluation) -> Report:
+        """Return what was measured and predicted, at an estimate and its evaluation."""

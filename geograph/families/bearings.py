@@ -8,9 +8,19 @@ import numpy as np
 
 from geograph.factors.bearing import coordinate_residual, predict_bearing, tangent_residual
 from geograph.factors.light_time import Sight, light_time_correction, sight
-from geograph.families.base import Evaluation, Family, Values
+from geograph.families.base import Evaluation, Report, SensorFamily, Values
 from geograph.frames import frame_spin_rad_s
-from geograph.states import AZIMUTH, CLOCK, ELEVATION, POSITION, SensorErrorTerms
+from geograph.states import (
+    AZIMUTH,
+    CHANNELS,
+    CLOCK,
+    ELEVATION,
+    POSITION,
+    SPEED,
+    VELOCITY,
+    ChainShare,
+    SensorErrorTerms,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,15 +32,18 @@ if TYPE_CHECKING:
     from geograph.states import SensorStates
 
 # Newton's step of the light time squares its error: after one of a microsecond, what is left of an
-# object at 10 km/s is far below a micrometre.
+# object at 10 km/s is far below a micrometre. Derivatives are taken at the time before that step;
+# sound, which gains little in a step, comes as close as light only if asked to.
 _LIGHT_TIME_TOLERANCE_S = 1e-6
+_SLOW_TOLERANCE_S = 1e-9
+_SLOW_M_S = 1e6
 _LIGHT_TIME_ROUNDS = 20
 
 # Cosine of the elevation below which a measured azimuth is that of the zenith.
 _ZENITH = 1e-6
 
 
-class BearingFamily(Family):
+class BearingFamily(SensorFamily):
     """All bearings of a recording.
 
     Parameters
@@ -67,6 +80,7 @@ class BearingFamily(Family):
     ) -> None:
         self.bearings = bearings
         self.time_s = bearings.time_s
+        self.sensor = bearings.sensor
         self.line = bearings.line
         self.geometry = geometry
         self.states = states
@@ -88,11 +102,13 @@ class BearingFamily(Family):
         self._noise_elevation = np.nan_to_num(bearings.elevation_rad) if errs else None
         channels = {state.channel for state in states.constants}
         self._clocked = CLOCK in channels | {walk.channel for walk in states.walks}
+        self._fast = SPEED in channels
         self._light_time = np.zeros(len(bearings))
         self._walk_time = bearings.time_s.copy()
         self._poses: SensorPoses | None = None
         self._place: tuple[Path, Place] | None = None
         self.path_noise_m = np.zeros(len(bearings))
+        self.path_noise_m_s = np.zeros(len(bearings))
         self._white = self._whitening(np.full(len(bearings), np.inf))
 
     def _whitening(self, distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -138,21 +154,20 @@ class BearingFamily(Family):
     def _errors(
         self, path: Path, values: Values, interval: NDArray[np.int64] | None
     ) -> NDArray[np.float64]:
-        """Return the errors of all channels, shape (n, 6); walks read in the given intervals."""
-        if interval is None or not self.terms.walks.row.size:
-            return self.terms.errors(values.constants, None, None, None)
-        fraction = self._fraction(path, interval)
-        return self.terms.errors(values.constants, values.walks, interval, fraction)
+        """Return the errors of all channels, shape (n, CHANNELS), chains read in intervals."""
+        if interval is None or not self.terms.chains.row.size:
+            return self.terms.errors(values.constants)
+        return self.terms.errors(values.constants, values.walks, self._share(path, interval))
 
-    def _fraction(self, path: Path, interval: NDArray[np.int64]) -> NDArray[np.float64]:
-        return (self._walk_time - path.knots_s[interval]) / path.steps_s[interval]
+    def _share(self, path: Path, interval: NDArray[np.int64]) -> ChainShare:
+        return self.terms.share(path.knots_s, interval, self._walk_time)
 
     def _find(
         self, path: Path, state: PathState, values: Values
     ) -> tuple[Sight, Place, SensorPoses, NDArray[np.float64]]:
         """Solve for the light times; return sights, places, poses and errors of all channels."""
         interval = None
-        if self.terms.walks.row.size:
+        if self.terms.chains.row.size:
             interval = path.locate(self._walk_time).interval
         errors = self._errors(path, values, interval)
         received = self.bearings.time_s - errors[:, CLOCK]
@@ -162,14 +177,16 @@ class BearingFamily(Family):
             if not self._clocked:
                 self._poses = poses
         position = poses.position_m + errors[:, POSITION : POSITION + 3]
+        speed = self.speed_m_s + float(errors[0, SPEED]) if len(self) else self.speed_m_s
+        enough = _LIGHT_TIME_TOLERANCE_S if speed > _SLOW_M_S else _SLOW_TOLERANCE_S
         for _ in range(_LIGHT_TIME_ROUNDS):
             place = self._locate(path, received - self._light_time)
             at, velocity = state.position_velocity(place)
             found = sight(at, velocity, position, self._light_time, self.spin_rad_s)
             if np.isinf(self.speed_m_s):
                 break
-            correction = light_time_correction(found, self.speed_m_s)
-            if not np.abs(correction).max(initial=0.0) > _LIGHT_TIME_TOLERANCE_S:
+            correction = light_time_correction(found, speed)
+            if not np.abs(correction).max(initial=0.0) > enough:
                 # What is left is below a microsecond: straight motion meets it.
                 found = sight(
                     at - velocity * correction[:, None],
@@ -231,21 +248,21 @@ class BearingFamily(Family):
         """Evaluate all bearings at one point; see :class:`Evaluation`."""
         found, place, poses, errors = self._find(path, state, values)
         line = found.line_of_sight_m
-        if self.terms.walks.row.size:
+        if self.terms.chains.row.size:
             # Read where the derivative is taken, in the interval of the emission.
             errors = self._errors(path, values, place.interval)
         sight_axes = np.matmul(poses.axes, line[:, :, None])[:, :, 0]
         result = self._residual(sight_axes, errors, jacobian)
         white = self._white
         residual = result.value * white
-        constant, walks = self.terms.constants, self.terms.walks
-        fraction = (
-            self._fraction(path, place.interval)[walks.row] if walks.row.size else np.empty(0)
-        )
+        constant, walks = self.terms.constants, self.terms.chains
+        share = self._share(path, place.interval)
         by_knots: NDArray[np.float64] | None = None
-        by_channel = np.zeros((0, 2, 6))
+        by_channel = np.zeros((0, 2, CHANNELS))
         if jacobian:
-            by_channel, by_knots = self._derivatives(result, found, place, poses, state)
+            by_channel, by_knots = self._derivatives(
+                result, found, place, poses, state, errors=errors
+            )
         return Evaluation(
             residual,
             place.interval,
@@ -257,7 +274,8 @@ class BearingFamily(Family):
             else np.zeros((0, 2)),
             walks.row,
             walks.column,
-            fraction,
+            share.before,
+            share.after,
             by_channel[walks.row, :, walks.channel] * walks.basis[:, None]
             if jacobian
             else np.zeros((0, 2)),
@@ -270,8 +288,10 @@ class BearingFamily(Family):
         place: Place,
         poses: SensorPoses,
         state: PathState,
+        *,
+        errors: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return whitened derivatives by the channels (n, 2, 6) and by the knots' states.
+        """Return whitened derivatives by the channels (n, 2, CHANNELS) and by the knots' states.
 
         With the line of sight l = P - S, the aberration matrix E and the frame's turn R during the
         light time: dl = E (R dp + (R v - dS/dt) dt - dS), where dt = -(clock error); turning axes
@@ -282,13 +302,23 @@ class BearingFamily(Family):
         white = self._white[:, :, None]
         in_axes = result.by_line_of_sight * white
         by_sight = in_axes @ poses.axes
+        by_channel = np.zeros((len(self), 2, CHANNELS))
         if np.isfinite(self.speed_m_s):
-            by_sight = by_sight @ found.aberration(self.speed_m_s)
-        by_channel = np.zeros((len(self), 2, 6))
+            speed = self.speed_m_s + errors[:, SPEED]
+            if self._fast:
+                # A faster signal was emitted later: by dtau = -distance / (c + u.V) dc / c.
+                rate = speed + np.einsum(
+                    "ni,ni->n",
+                    found.line_of_sight_m / found.distance_m[:, None],
+                    found.inertial_velocity_m_s,
+                )
+                later = (found.distance_m / (rate * speed))[:, None] * found.inertial_velocity_m_s
+                by_channel[:, :, SPEED] = np.matmul(by_sight, later[:, :, None])[:, :, 0]
+            by_sight = by_sight @ found.aberration(float(speed[0]) if len(self) else np.inf)
         by_channel[:, :, AZIMUTH : ELEVATION + 1] = result.by_error * white
         by_channel[:, :, POSITION : POSITION + 3] = -by_sight
         if self._clocked:
-            closing = found.velocity_m_s - poses.velocity_m_s
+            closing = found.velocity_m_s - poses.velocity_m_s - errors[:, VELOCITY : VELOCITY + 3]
             by_time = np.matmul(by_sight, closing[:, :, None])[:, :, 0]
             if poses.axes_rate is not None:
                 turned = np.matmul(poses.axes_rate, found.line_of_sight_m[:, :, None])
@@ -327,3 +357,44 @@ class BearingFamily(Family):
         turns = np.round((self.bearings.azimuth_rad - bearing[:, 0]) / (2.0 * np.pi))
         bearing[:, 0] += 2.0 * np.pi * turns
         return bearing, found.distance_m, place.time_s
+
+    def emissions(
+        self, path: Path, values: Values
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return distances from the sensors (m) and times of emission (s), each shape (n,)."""
+        _, distance, time = self.predicted(path, values)
+        return distance, time
+
+    def resolution_m(
+        self, distance_m: NDArray[np.float64], speed_m_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return about how well each bearing alone locates the object, shape (n,), metres."""
+        del speed_m_s
+        table = self.bearings
+        return np.asarray(np.fmin(table.sigma_azimuth_rad, table.sigma_elevation_rad) * distance_m)
+
+    def clock_resolution_s(
+        self, distance_m: NDArray[np.float64], speed_m_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return how well each bearing resolves its sensor's clock, shape (n,), seconds."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(self.resolution_m(distance_m, speed_m_s) / speed_m_s)
+
+    def report(self, path: Path, values: Values, found: Evaluation) -> Report:
+        """Return what was measured and predicted; see :class:`Report`."""
+        table = self.bearings
+        predicted, _, _ = self.predicted(path, values)
+        exists = np.ones((len(self), 2), dtype=bool)
+        exists[self.azimuth_only, 1] = False
+        level = np.cos(np.nan_to_num(table.elevation_rad))
+        level = np.where(table.isotropic & ~self.azimuth_only, np.maximum(level, 1e-6), 1.0)
+        return Report(
+            kinds=("azimuth", "elevation"),
+            units=("rad", "rad"),
+            exists=exists,
+            measured=np.stack([table.azimuth_rad, table.elevation_rad], axis=1),
+            predicted=predicted,
+            sigma=np.stack([table.sigma_azimuth_rad / level, table.sigma_elevation_rad], axis=1),
+            # The solver's residual is predicted - measured, whitened with the correlation's weight.
+            normalised=-found.residual / np.sqrt(self.weight)[:, None],
+        )

@@ -12,7 +12,7 @@ import numpy as np
 from geograph.errors import InputError
 from geograph.io.messages import plain
 from geograph.io.source import decode
-from geograph.io.tables import ColumnSpec, Kind, Table, TextBuilder, bad_number, match_columns
+from geograph.io.tables import ColumnSpec, Table, TextBuilder, bad_number, match_columns
 
 if TYPE_CHECKING:
     from _csv import Reader
@@ -98,11 +98,9 @@ class _Builder:
         self._columns = list(zip(names, specs, strict=True))
         self._lines: list[NDArray[np.int64]] = []
         self._numbers: dict[str, list[NDArray[np.float64]]] = {
-            name: [] for name, spec in self._columns if spec.kind is not Kind.TEXT
+            name: [] for name, spec in self._columns if not spec.is_text
         }
-        self._texts = {
-            name: TextBuilder() for name, spec in self._columns if spec.kind is Kind.TEXT
-        }
+        self._texts = {name: TextBuilder() for name, spec in self._columns if spec.is_text}
 
     def add(self, rows: list[list[str]], lines: NDArray[np.int64]) -> None:
         width = len(self._columns)
@@ -116,7 +114,7 @@ class _Builder:
             )
         self._lines.append(lines)
         for (name, spec), cells in zip(self._columns, zip(*rows, strict=True), strict=True):
-            if spec.kind is Kind.TEXT:
+            if spec.is_text:
                 self._texts[name].extend([cell.strip() for cell in cells])
             else:
                 self._numbers[name].append(self._convert(name, spec, cells, lines))

@@ -27,7 +27,16 @@ FORMAT_VERSION = 1
 MIN_RADIUS_ECEF_M = 6.0e6
 """Nothing that observes the sky is nearer to the Earth's centre than this."""
 
-_TOP_KEYS = ("format", "frame", "epoch", "propagation_speed_m_s", "sensors", "smooth", "terrain")
+_TOP_KEYS = (
+    "format",
+    "frame",
+    "epoch",
+    "propagation_speed_m_s",
+    "propagation_sigma_m_s",
+    "sensors",
+    "smooth",
+    "terrain",
+)
 _SENSOR_KEYS = (
     "geodetic",
     "position_m",
@@ -36,12 +45,19 @@ _SENSOR_KEYS = (
     "errors",
     "correlation",
     "refraction",
+    "platform_process_noise",
 )
 _DEGREES_KEYS = {
     entry.name.replace("_rad", "_deg"): entry.name
     for entry in fields(SensorErrors)
     if "_rad" in entry.name
 }
+_METRE_KEYS = {
+    "clock_offset_m": "clock_offset_s",
+    "clock_drift_m_s": "clock_drift_s_s",
+    "clock_instability_m_sqrt_s": "clock_instability_s_sqrt_s",
+}
+"""Errors of clocks by the way of the signal in their time: divided by the speed of propagation."""
 _AXES = ("enu", "xyz")
 _LATER_AXES = ("body", "radec")
 
@@ -57,6 +73,7 @@ class SensorEntry:
     errors: SensorErrors
     correlation: float
     refraction: Refraction
+    platform_process_noise: float | None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,6 +83,7 @@ class Header:
     frame: Frame
     epoch: datetime | None
     propagation_speed_m_s: float
+    propagation_sigma_m_s: float
     sensors: dict[str, SensorEntry]
     settings: SmoothSettings
 
@@ -81,13 +99,7 @@ def read_header(document: Document) -> Header:
     if "frame" not in root:
         document.fail((), "frame is missing; expected ecef or local; add it")
     frame = cast("Frame", document.choice(("frame",), root["frame"], get_args(Frame)))
-    speed = document.number(
-        ("propagation_speed_m_s",),
-        root.get("propagation_speed_m_s", SPEED_OF_LIGHT_M_S),
-        infinite=True,
-    )
-    if not speed > 0.0:
-        document.fail(("propagation_speed_m_s",), f"is {speed:g}; expected above 0, or inf")
+    speed, sigma = _speed(document, root)
     if "sensors" not in root:
         document.fail((), "no sensors; expected a table [sensors.NAME] for each; add them")
     entries = document.table(("sensors",), root["sensors"], None)
@@ -97,7 +109,10 @@ def read_header(document: Document) -> Header:
         frame=frame,
         epoch=_epoch(document, root.get("epoch"), frame),
         propagation_speed_m_s=speed,
-        sensors={name: _sensor(document, name, entry, frame) for name, entry in entries.items()},
+        propagation_sigma_m_s=sigma,
+        sensors={
+            name: _sensor(document, name, entry, frame, speed) for name, entry in entries.items()
+        },
         settings=_settings(document, root.get("smooth", {})),
     )
 
@@ -114,6 +129,24 @@ def _check_version(document: Document) -> None:
         )
 
 
+def _speed(document: Document, root: dict[str, Any]) -> tuple[float, float]:
+    """Return the speed of propagation and its prior sigma, metres per second."""
+    key, sigma_key = ("propagation_speed_m_s",), ("propagation_sigma_m_s",)
+    speed = document.number(key, root.get(key[0], SPEED_OF_LIGHT_M_S), infinite=True)
+    if not speed > 0.0:
+        document.fail(key, f"is {speed:g}; expected above 0, or inf")
+    sigma = document.number(sigma_key, root.get(sigma_key[0], 0.0), high=MAX_VALUE)
+    if sigma < 0.0:
+        document.fail(sigma_key, f"prior sigma is {sigma:g}; expected at least 0 (0: known)")
+    if sigma > 0.0 and math.isinf(speed):
+        document.fail(
+            sigma_key,
+            f"is {sigma:g} and propagation_speed_m_s is inf; expected a finite speed beside it; "
+            "give the speed or remove the sigma",
+        )
+    return speed, sigma
+
+
 def _epoch(document: Document, value: object, frame: Frame) -> datetime | None:
     expected = "expected a UTC date and time such as 2021-02-28T21:54:00Z (without quotes)"
     if value is None:
@@ -128,7 +161,9 @@ def _epoch(document: Document, value: object, frame: Frame) -> datetime | None:
         document.fail(("epoch",), f"is {shown(str(value))}; {expected}")
 
 
-def _sensor(document: Document, name: str, value: object, frame: Frame) -> SensorEntry:
+def _sensor(
+    document: Document, name: str, value: object, frame: Frame, speed_m_s: float
+) -> SensorEntry:
     path = ("sensors", name)
     if not valid_sensor_name(name):
         document.fail(
@@ -152,6 +187,7 @@ def _sensor(document: Document, name: str, value: object, frame: Frame) -> Senso
     )
     if refraction != "none" and axes != "enu":
         document.fail((*path, "refraction"), f"refraction needs axes enu; given axes {axes}")
+    errors = _errors(document, (*path, "errors"), table.get("errors", {}), speed_m_s)
     return SensorEntry(
         name=name,
         position_m=_position(document, path, table, frame) if trajectory is None else None,
@@ -161,17 +197,39 @@ def _sensor(document: Document, name: str, value: object, frame: Frame) -> Senso
             else _trajectory_name(document, (*path, "trajectory"), trajectory)
         ),
         axes=axes,
-        errors=_errors(document, (*path, "errors"), table.get("errors", {})),
+        errors=errors,
         correlation=document.number(
             (*path, "correlation"), table.get("correlation", 0.0), low=0.0, high=1.0
         ),
         refraction=cast("Refraction", refraction),
+        platform_process_noise=_platform(document, path, table, errors),
     )
+
+
+def _platform(
+    document: Document, path: KeyPath, table: dict[str, Any], errors: SensorErrors
+) -> float | None:
+    if "platform_process_noise" not in table:
+        return None
+    key = (*path, "platform_process_noise")
+    noise = document.number(key, table["platform_process_noise"], high=MAX_VALUE)
+    if noise < 0.0:
+        document.fail(key, f"is {noise:g}; expected at least 0 (0: straight and even)")
+    missing = None
+    if "trajectory" not in table:
+        missing = "a trajectory, whose points are fixes of the position"
+    elif errors.position_noise_m == 0.0:
+        missing = "position_noise_m above 0 in its errors, the sigma of each fix"
+    if missing is not None:
+        document.fail(key, f"is {noise:g}; expected {missing}; add it or remove this key")
+    return noise
 
 
 def valid_sensor_name(name: str) -> bool:
     """Return whether a sensor of that name can stand in a recording's tables."""
-    return bool(name) and name.isprintable() and name == name.strip()
+    plain = bool(name) and name.isprintable() and name == name.strip()
+    # Results keep that name for what belongs to the recording as a whole.
+    return plain and name != "(recording)"
 
 
 def _axes(document: Document, path: KeyPath, value: object, frame: Frame) -> Axes:
@@ -236,28 +294,45 @@ def _trajectory_name(document: Document, path: KeyPath, value: object) -> str:
     return name
 
 
-def _errors(document: Document, path: KeyPath, value: object) -> SensorErrors:
+def _errors(document: Document, path: KeyPath, value: object, speed_m_s: float) -> SensorErrors:
     names = [entry.name for entry in fields(SensorErrors)]
-    known = sorted([*names, *_DEGREES_KEYS])
+    other_units = _DEGREES_KEYS | _METRE_KEYS
     values: dict[str, float] = {}
-    for key, entry in document.table(path, value, known).items():
-        name = _DEGREES_KEYS.get(key, key)
-        if name in values:
+    given: dict[str, str] = {}
+    for key, entry in document.table(path, value, sorted([*names, *other_units])).items():
+        where = (*path, key)
+        name = other_units.get(key, key)
+        if name in given:
             document.fail(
-                (*path, key), f"{key} is there beside the same in the other unit; remove one"
+                where,
+                f"{key} is there beside {given[name]}, the same in the other unit; expected one "
+                "of them; remove the other",
             )
+        given[name] = key
         if name == "misalignment_rad":
             document.fail(
-                (*path, key),
+                where,
                 "misalignment needs axes body, which this version of geograph does not support yet",
             )
-        number = document.number((*path, key), entry, high=MAX_VALUE)
+        number = document.number(where, entry, high=MAX_VALUE)
         if number < 0.0:
-            document.fail(
-                (*path, key), f"prior sigma is {number:g}; expected at least 0 (0: known)"
-            )
+            document.fail(where, f"prior sigma is {number:g}; expected at least 0 (0: known)")
+        if key in _METRE_KEYS:
+            number = _clock(document, where, number, speed_m_s)
         values[name] = math.radians(number) if key in _DEGREES_KEYS else number
     return SensorErrors(**values)
+
+
+def _clock(document: Document, path: KeyPath, value: float, speed_m_s: float) -> float:
+    """Return an error of a clock, given by the way of the signal, in seconds."""
+    seconds = value / speed_m_s
+    if math.isinf(speed_m_s) or not seconds <= MAX_VALUE:
+        document.fail(
+            path,
+            f"is {value:g} and propagation_speed_m_s {speed_m_s:g}, by which it is divided; "
+            f"expected a speed that makes it seconds; give {_METRE_KEYS[path[-1]]} instead",
+        )
+    return seconds
 
 
 def _settings(document: Document, value: object) -> SmoothSettings:

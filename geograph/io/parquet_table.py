@@ -76,8 +76,8 @@ def parse_parquet(content: bytes, place: Path, specs: Sequence[ColumnSpec]) -> T
     for index, (name, spec) in enumerate(zip(names, matched, strict=True)):
         column = arrow.column(index)
         try:
-            if spec.kind is Kind.TEXT:
-                texts[name] = _text_column(column, name, place)
+            if spec.is_text:
+                texts[name] = _text_column(column, name, spec, place)
             else:
                 numbers[name] = _number_column(column, name, spec, place)
         except InputError:
@@ -123,15 +123,21 @@ def _number_column(column: Any, name: str, spec: ColumnSpec, place: Path) -> NDA
     return np.where(empty, np.nan, values)
 
 
-def _text_column(column: Any, name: str, place: Path) -> TextColumn:
+def _text_column(column: Any, name: str, spec: ColumnSpec, place: Path) -> TextColumn:
     import pyarrow
 
     kind = column.type
     if pyarrow.types.is_dictionary(kind):
         column, kind = column.cast(kind.value_type), kind.value_type
-    if not (pyarrow.types.is_string(kind) or pyarrow.types.is_large_string(kind)):
+    number = pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind)
+    if not (
+        pyarrow.types.is_string(kind)
+        or pyarrow.types.is_large_string(kind)
+        or (number and spec.kind is Kind.LABEL)
+    ):
+        expected = "text (string) or numbers" if spec.kind is Kind.LABEL else "text (string)"
         raise InputError(
-            f"holds {shown(str(kind))}; expected text (string)", path=place, column=plain(name)
+            f"holds {shown(str(kind))}; expected {expected}", path=place, column=plain(name)
         )
     if column.null_count:
         row = int(np.argmax(column.is_null().to_numpy()))
@@ -142,7 +148,8 @@ def _text_column(column: Any, name: str, place: Path) -> TextColumn:
             column=plain(name),
         )
     builder = TextBuilder()
-    builder.extend([value.strip() for value in column.to_pylist()])
+    # A number is the label that it would be in a CSV file.
+    builder.extend([str(value).strip() for value in column.to_pylist()])
     return builder.column()
 
 

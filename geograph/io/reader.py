@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, cast, get_args
 
 import numpy as np
@@ -9,7 +10,9 @@ import numpy as np
 from geograph.errors import InputError
 from geograph.io.document import Document
 from geograph.io.header import MIN_RADIUS_ECEF_M, Header, SensorEntry, read_header
+from geograph.io.measurement_tables import MEASUREMENT_COLUMNS, read_measurements
 from geograph.io.messages import expected_one_of, shown
+from geograph.io.sensor_columns import TIME
 from geograph.io.source import HEADER_NAME, Source, open_source
 from geograph.io.tables import (
     MAX_COORDINATE_M,
@@ -21,7 +24,7 @@ from geograph.io.tables import (
     find_table,
     read_table,
 )
-from geograph.measurements import Bearings, ConstraintKind, Constraints, Truth
+from geograph.measurements import ConstraintKind, Constraints, Truth
 from geograph.recording import Recording
 from geograph.sensors import Sensor, Trajectory
 
@@ -32,41 +35,39 @@ if TYPE_CHECKING:
 
     from geograph.recording import Frame
 
-TABLES = ("bearings", "constraints", "truth")
-LATER_TABLES = ("arrivals", "time_differences", "frequency_differences")
+TABLES = (*MEASUREMENT_COLUMNS, "constraints", "truth")
 LATER_CONSTRAINTS = ("height_above_terrain_m",)
 
-MIN_SIGMA_RAD = 1e-12
-"""Smallest sigma of a bearing: a fifth of a microarcsecond, below any instrument."""
-
-_TIME = ColumnSpec("time_s", limit=MAX_TIME_S)
 _POSITION = tuple(ColumnSpec(name, limit=MAX_COORDINATE_M) for name in ("x_m", "y_m", "z_m"))
 _VELOCITY = tuple(ColumnSpec(name, required=False) for name in ("vx_m_s", "vy_m_s", "vz_m_s"))
 
-BEARING_COLUMNS = (
-    _TIME,
-    ColumnSpec("sensor", Kind.TEXT),
-    ColumnSpec("azimuth", Kind.ANGLE, limit=360.0),
-    ColumnSpec("elevation", Kind.ANGLE, required=False, may_be_empty=True, limit=90.0),
-    ColumnSpec("sigma", Kind.ANGLE, required=False, may_be_empty=True, limit=360.0),
-    ColumnSpec("sigma_azimuth", Kind.ANGLE, required=False, may_be_empty=True, limit=360.0),
-    ColumnSpec("sigma_elevation", Kind.ANGLE, required=False, may_be_empty=True, limit=360.0),
-)
 CONSTRAINT_COLUMNS = (
     ColumnSpec("time_s", may_be_empty=True, limit=MAX_TIME_S),
     ColumnSpec("kind", Kind.TEXT),
     ColumnSpec("value"),
     ColumnSpec("sigma"),
 )
-TRUTH_COLUMNS = (_TIME, *_POSITION, *_VELOCITY)
+TRUTH_COLUMNS = (TIME, *_POSITION, *_VELOCITY)
 TRAJECTORY_COLUMNS = (
-    _TIME,
+    TIME,
     *_POSITION,
     *(
         ColumnSpec(name, Kind.ANGLE, required=False, limit=360.0)
         for name in ("yaw", "pitch", "roll")
     ),
 )
+
+
+def _slip(stem: str) -> str:
+    """Return what is left of a file's name when the usual slips are taken off it."""
+    return "".join(letter for letter in stem.casefold() if letter.isalnum()).rstrip("s")
+
+
+_BY_SLIP = {_slip(name): name for name in TABLES} | {
+    "toa": "arrivals",
+    "tdoa": "time_differences",
+    "fdoa": "frequency_differences",
+}
 
 
 def read(path: Path | str) -> Recording:
@@ -102,46 +103,41 @@ def read(path: Path | str) -> Recording:
         for name, entry in header.sensors.items()
     }
     _check_file_names(source, header)
-    bearings = _read_bearings(source, sensors)
-    return Recording(
+    measured = read_measurements(source, document, sensors, speed_m_s=header.propagation_speed_m_s)
+    recording = Recording(
         name=source.name,
         frame=header.frame,
         sensors=sensors,
-        bearings=bearings,
+        bearings=measured.bearings,
+        arrivals=measured.arrivals,
+        time_differences=measured.time_differences,
+        frequency_differences=measured.frequency_differences,
         constraints=_read_constraints(source),
-        truth=_read_truth(source, bearings),
         epoch=header.epoch,
         propagation_speed_m_s=header.propagation_speed_m_s,
+        propagation_sigma_m_s=header.propagation_sigma_m_s,
         settings=header.settings,
         path=source.path,
     )
+    return replace(recording, truth=_read_truth(source, recording.time_span_s))
 
 
 def _check_file_names(source: Source, header: Header) -> None:
-    for stem in LATER_TABLES:
-        name = find_table(source, stem)
-        if name is not None:
-            raise InputError(
-                f"{stem} are not supported by this version of geograph yet; expected bearings; "
-                "remove the file to smooth without them",
-                path=source.place(name),
-            )
     trajectories = {entry.trajectory for entry in header.sensors.values()}
     for name in source.names():
         stem, dot, suffix = name.rpartition(".")
         if dot + suffix.lower() not in SUFFIXES or name in trajectories:
             continue
-        for table in TABLES:
-            similar = stem.casefold() in (table, table.rstrip("s"))
-            if (
-                similar
-                and name not in (table + end for end in SUFFIXES)
-                and find_table(source, table) is None
-            ):
-                raise InputError(
-                    f"is not a table's name; did you mean {table}{dot}{suffix.lower()}? rename it",
-                    path=source.place(name),
-                )
+        table = _BY_SLIP.get(_slip(stem))
+        if (
+            table is not None
+            and name not in (table + end for end in SUFFIXES)
+            and find_table(source, table) is None
+        ):
+            raise InputError(
+                f"is not a table's name; did you mean {table}{dot}{suffix.lower()}? rename it",
+                path=source.place(name),
+            )
 
 
 def _read_sensor(source: Source, document: Document, entry: SensorEntry, frame: Frame) -> Sensor:
@@ -162,6 +158,7 @@ def _read_sensor(source: Source, document: Document, entry: SensorEntry, frame: 
         errors=entry.errors,
         correlation=entry.correlation,
         refraction=entry.refraction,
+        platform_process_noise=entry.platform_process_noise,
     )
 
 
@@ -192,106 +189,6 @@ def _read_trajectory(source: Source, name: str, frame: Frame) -> Trajectory:
     return Trajectory(table.numbers["time_s"], position, attitude)
 
 
-def _read_bearings(source: Source, sensors: dict[str, Sensor]) -> Bearings:
-    name = find_table(source, "bearings")
-    if name is None:
-        raise InputError(
-            "no bearings.csv or bearings.parquet in it, so there is no measurement; add one",
-            path=source.path,
-        )
-    table = read_table(source, name, BEARING_COLUMNS)
-    sensor = _sensor_indices(table, tuple(sensors))
-    azimuth, elevation = table.angle_rad("azimuth"), table.angle_rad("elevation")
-    isotropic, sigma_azimuth, sigma_elevation = _sigmas(table, np.isnan(elevation))
-    time = table.numbers["time_s"]
-    for index, (label, entry) in enumerate(sensors.items()):
-        if entry.trajectory is not None:
-            first, last = entry.trajectory.time_s[[0, -1]]
-            table.check(
-                (sensor != index) | ((time >= first) & (time <= last)),
-                "time_s",
-                f"outside the trajectory of sensor {shown(label)}; expected {first:.9g} to "
-                f"{last:.9g} s; extend the trajectory or remove the row",
-            )
-    return Bearings(
-        time_s=time,
-        sensor=sensor,
-        azimuth_rad=azimuth,
-        elevation_rad=elevation,
-        sigma_azimuth_rad=sigma_azimuth,
-        sigma_elevation_rad=sigma_elevation,
-        isotropic=isotropic,
-        line=table.line,
-    )
-
-
-def _sensor_indices(table: Table, names: tuple[str, ...]) -> NDArray[np.int64]:
-    column = table.texts["sensor"]
-    index = {name: position for position, name in enumerate(names)}
-    lookup = np.array([index.get(value, -1) for value in column.values], dtype=np.int64)
-    sensor = lookup[column.codes]
-    if (sensor < 0).any():
-        row = int(np.argmax(sensor < 0))
-        given = column.values[column.codes[row]]
-        table.fail(
-            row,
-            "sensor",
-            f"{expected_one_of(given, names)}; name it as in {HEADER_NAME}",
-            given=f"unknown sensor {shown(given)}" if given else "empty cell",
-        )
-    return sensor
-
-
-def _sigmas(
-    table: Table, azimuth_only: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
-    """Return which rows are isotropic, and the sigmas of azimuth and elevation."""
-    named = {key: table.column_of(key) for key in ("sigma", "sigma_azimuth", "sigma_elevation")}
-    if named["sigma"] is None and named["sigma_azimuth"] is None:
-        raise InputError(
-            f"no sigma; found {', '.join([*table.numbers, *table.texts])}; expected sigma_deg, or "
-            "sigma_azimuth_deg and sigma_elevation_deg (or _rad); add it",
-            path=table.place,
-            line=1,
-            column="sigma_deg",
-        )
-    for key, column in named.items():
-        if column is not None:
-            values = table.angle_rad(key)
-            table.check(
-                np.isnan(values) | (values >= MIN_SIGMA_RAD),
-                column,
-                f"expected a sigma above 0 (at least {MIN_SIGMA_RAD:g} rad)",
-            )
-    sky, azimuth = table.angle_rad("sigma"), table.angle_rad("sigma_azimuth")
-    elevation = table.angle_rad("sigma_elevation")
-    column = named["sigma"] or named["sigma_azimuth"] or "sigma_deg"
-    has_sky, has_azimuth = ~np.isnan(sky), ~np.isnan(azimuth)
-    table.check(
-        has_sky | has_azimuth,
-        column,
-        "expected a sigma above 0; fill it in or remove the row",
-        given="empty cell",
-    )
-    table.check(
-        ~(has_sky & (has_azimuth | ~np.isnan(elevation))),
-        column,
-        "expected either it or sigma_azimuth and sigma_elevation; empty the other cells",
-        given="sigma given twice",
-    )
-    table.check(
-        has_sky | azimuth_only | ~np.isnan(elevation),
-        named["sigma_elevation"] or "sigma_elevation_deg",
-        "expected a sigma above 0 beside sigma_azimuth; fill it in",
-        given="empty cell" if named["sigma_elevation"] else "column is missing",
-    )
-    # The sigma of an azimuth alone is that of the coordinate; the other is filled in, not used.
-    isotropic = has_sky & ~azimuth_only
-    sigma_azimuth = np.where(has_sky, sky, azimuth)
-    sigma_elevation = np.where(has_sky | azimuth_only, sigma_azimuth, elevation)
-    return isotropic, sigma_azimuth, sigma_elevation
-
-
 def _read_constraints(source: Source) -> Constraints | None:
     name = find_table(source, "constraints")
     if name is None:
@@ -320,14 +217,14 @@ def _read_constraints(source: Source) -> Constraints | None:
     )
 
 
-def _read_truth(source: Source, bearings: Bearings) -> Truth | None:
+def _read_truth(source: Source, span_s: tuple[float, float]) -> Truth | None:
     name = find_table(source, "truth")
     if name is None:
         return None
     table = read_table(source, name, TRUTH_COLUMNS)
     _check_increasing(table)
     time = table.numbers["time_s"]
-    first, last = float(bearings.time_s.min()), float(bearings.time_s.max())
+    first, last = span_s
     if time[-1] < first or time[0] > last:
         raise InputError(
             f"covers {time[0]:.9g} to {time[-1]:.9g} s and the measurements {first:.9g} to "

@@ -36,12 +36,17 @@ MAX_VALUE = 1e15
 """Largest value of other columns."""
 
 
+NO_ROWS = "has no rows; expected at least one below the header"
+
+
 class Kind(Enum):
     """What the cells of a column hold."""
 
     NUMBER = "number"
     ANGLE = "angle"
     TEXT = "text"
+    LABEL = "label"
+    """Text too, for which Parquet files may have integers or floats."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,11 @@ class ColumnSpec:
     required: bool = True
     may_be_empty: bool = False
     limit: float = MAX_VALUE
+
+    @property
+    def is_text(self) -> bool:
+        """Whether its cells are kept as text."""
+        return self.kind in (Kind.TEXT, Kind.LABEL)
 
     @property
     def names_in_file(self) -> tuple[str, ...]:
@@ -150,7 +160,9 @@ def find_table(source: Source, stem: str) -> str | None:
     return present[0] if present else None
 
 
-def read_table(source: Source, name: str, specs: Sequence[ColumnSpec]) -> Table:
+def read_table(
+    source: Source, name: str, specs: Sequence[ColumnSpec], *, may_be_empty: bool = False
+) -> Table:
     """Read one file as a table.
 
     Parameters
@@ -161,6 +173,8 @@ def read_table(source: Source, name: str, specs: Sequence[ColumnSpec]) -> Table:
         File name; its suffix says the format.
     specs
         The columns that the table may have.
+    may_be_empty
+        Whether a header without rows is a table, of length zero.
 
     Raises
     ------
@@ -175,8 +189,8 @@ def read_table(source: Source, name: str, specs: Sequence[ColumnSpec]) -> Table:
     else:
         from geograph.io.csv_table import parse_csv as parse
     table = parse(content, place, specs)
-    if not len(table):
-        raise InputError("has no rows; expected at least one below the header", path=place)
+    if not len(table) and not may_be_empty:
+        raise InputError(NO_ROWS, path=place)
     _check_magnitudes(table, specs)
     return table
 

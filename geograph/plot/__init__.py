@@ -13,18 +13,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 from geograph.plot import _style as look
-from geograph.plot._ground import draw_path
+from geograph.plot._ground import draw_path, draw_sensors_alone, sensors_crowded
+from geograph.plot._platforms import platform_figure
 from geograph.plot._residuals import draw_normalised, residual_figure
 from geograph.plot._sensors import draw_curves, draw_errors_in_sigmas, error_figure
 from geograph.plot._time import (
+    draw_facts,
     draw_height,
     draw_height_spread,
+    draw_horizontal,
     draw_side_view,
     draw_speed,
     draw_speed_spread,
 )
 from geograph.results import as_results
-from geograph.results.names import PICTURES
+from geograph.results.names import PICTURES, PLATFORM_PICTURE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -112,7 +115,7 @@ def sensor_error_curves(
     track: Track | Results,
     ax: Axes | None = None,
     *,
-    kind: Literal["azimuth", "elevation", "clock"] = "azimuth",
+    kind: Literal["azimuth", "elevation", "clock", "frequency"] = "azimuth",
 ) -> Axes:
     """Draw one kind of sensor error against time, for the sensors where it drifts or walks."""
     ax = look.axes_or_new(ax)
@@ -131,14 +134,24 @@ def overview(track: Track | Results) -> Figure:
     where, close = left.subplots(2, 1, height_ratios=[2.2, 1.0])
     draw_path(results, where, sensors=True)
     draw_path(results, close, sensors=False, legend=False)
-    close.set_title("the path alone")
-    over, under = middle.subplots(2, 1)
-    draw_height(results, over)
-    draw_speed(results, under)
+    close.set_title("the position alone" if results.static else "the path alone")
+    panels = _middle_panels(results)
+    for draw, ax in zip(panels, middle.subplots(len(panels), 1, squeeze=False)[:, 0], strict=True):
+        draw(results, ax)
+        if draw is draw_sensors_alone:
+            ax.set_title("the sensors alone")
     over, under = right.subplots(2, 1, height_ratios=[1.0, 1.8])
     draw_normalised(results, over)
     draw_errors_in_sigmas(results, under)
     return figure
+
+
+def _middle_panels(results: Results) -> list[Callable[[Results, Axes], None]]:
+    """Return what stands in the middle of the overview: only what says something."""
+    if results.static:
+        return [draw_facts, draw_sensors_alone] if sensors_crowded(results) else [draw_facts]
+    height = draw_horizontal if results.height_held else draw_height
+    return [height] if results.velocity_m_s is None else [height, draw_speed]
 
 
 def save_all(track: Track | Results, folder: Path) -> tuple[Path, ...]:
@@ -150,16 +163,20 @@ def save_all(track: Track | Results, folder: Path) -> tuple[Path, ...]:
         A track or its results.
     folder
         Where to write; see :data:`PICTURES` for the names. Without a velocity there is no
-        ``speed.png``.
+        ``speed.png``; where the object is at rest, or its height given, no ``height.png``; and
+        with platforms whose path is estimated there is a ``platforms.png``.
     """
     results = as_results(track)
     makers: dict[str, Callable[[Results], Figure]] = {
         "overview.png": overview,
         "path.png": _path_figure,
-        "height.png": _height_figure,
         "residuals.png": residual_figure,
         "sensor_errors.png": error_figure,
     }
+    if not (results.static or results.height_held):
+        makers["height.png"] = _height_figure
+    if results.platforms:
+        makers[PLATFORM_PICTURE] = platform_figure
     if results.velocity_m_s is not None:
         makers["speed.png"] = _speed_figure
     written = []
@@ -175,13 +192,19 @@ def save_all(track: Track | Results, folder: Path) -> tuple[Path, ...]:
 
 
 def _path_figure(results: Results) -> Figure:
-    figure = look.new_figure(13.0, 6.5)
-    look.headline(figure, results, "path over ground")
-    left, right = figure.subplots(1, 2)
+    crowded = sensors_crowded(results)
+    figure = look.new_figure(17.0 if crowded else 13.0, 6.5)
+    what = "position" if results.static else "path"
+    look.headline(figure, results, f"{what} over ground")
+    left, right, *more = figure.subplots(1, 3 if crowded else 2)
     draw_path(results, left, sensors=True)
-    left.set_title("with sensors and some of their bearings")
+    bearings = (results.residuals.kind == "azimuth").any()
+    left.set_title("with sensors and some of their bearings" if bearings else "with the sensors")
     draw_path(results, right, sensors=False)
-    right.set_title("the path alone")
+    right.set_title(f"the {what} alone")
+    for ax in more:
+        draw_sensors_alone(results, ax)
+        ax.set_title("the sensors alone")
     return figure
 
 

@@ -15,46 +15,91 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from geograph.results import Results, SensorPath
+    from geograph.results import PlatformPath, Results, SensorPath
 
-_ELLIPSES, _SIGHT_LINES = 15, 12
+_ELLIPSES, _SIGHT_LINES, _MOST_LABELS, _MOST_FIXES = 15, 12, 12, 200
+# Sensors on a smaller part of a picture than this cannot be told apart on it.
+_CROWDED = 0.2
 
 
 def draw_path(results: Results, ax: Axes, *, sensors: bool, legend: bool = True) -> None:
     """Draw the path on axes of equal scale; ``sensors``: with them and their sight lines."""
     plane = plane_of(results)
-    track = plane.project(results.position_m)
-    places = [plane.project(place.position_m) for place in results.sensors]
-    outline, factor = _ellipses(results, plane, track)
+    # An object at rest has the same state at all knots.
+    track = plane.project(results.position_m[:1] if results.static else results.position_m)
+    places = _sensor_points(results, plane)
+    spread = extent(track)
+    if results.static and sensors:
+        spread = extent(np.concatenate([track, *places]))
+    outline, factor = _ellipses(results, plane, track, spread)
     near = np.concatenate([track, (track[:, None] + outline).reshape(-1, 2)])
     shown = np.concatenate([near, *places]) if sensors else near
     unit = length_unit(extent(shown))
     if sensors:
-        _draw_sensors(results, ax, plane, unit.size)
-    if results.truth is not None:
-        true = plane.project(results.truth.position_m) / unit.size
-        ax.plot(*true.T, "--", color=look.TRUTH, lw=1.2, zorder=5, label="truth")
+        _draw_sensors(results, ax, plane, unit.size, crowded=sensors_crowded(results))
+    _draw_truth(results, ax, plane, unit.size)
     _draw_ellipses(results, ax, track, outline, factor=factor, unit=unit.size)
-    if results.time_s.size > 1:
+    if results.static:
+        ax.plot(*track.T / unit.size, "o", ms=5, color=look.PATH, zorder=7, label="position")
+    else:
         drawn = plane.project(results.knots().at(look.dense(results.time_s))[0])
         ax.plot(*drawn.T / unit.size, color=look.PATH, lw=2.2, zorder=4, label="path")
         _draw_ends(ax, track / unit.size)
-    else:
-        ax.plot(*track.T / unit.size, "o", color=look.PATH, zorder=5, label="position")
-    ax.set_xlabel(f"{plane.across} ({unit.name})")
-    ax.set_ylabel(f"{plane.along} ({unit.name})")
-    ax.set_aspect("equal", adjustable="datalim")
+    _label(ax, plane, unit.name)
     ax.margins(0.14 if sensors else 0.08)
     if legend:
-        ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.13), ncols=3, borderaxespad=0.0)
+        _legend(ax, columns=2 if results.static else 3)
+
+
+def draw_sensors_alone(results: Results, ax: Axes, *, legend: bool = True) -> None:
+    """Draw the sensors, their ways and fixes, on axes of equal scale that hold nothing else."""
+    plane = plane_of(results)
+    unit = length_unit(extent(np.concatenate(_sensor_points(results, plane))))
+    _draw_sensors(results, ax, plane, unit.size, crowded=False, sights=False)
+    _label(ax, plane, unit.name)
+    ax.margins(0.14)
+    if legend:
+        _legend(ax)
+
+
+def sensors_crowded(results: Results) -> bool:
+    """Whether the sensors are so far from the object that they are a mere spot beside it."""
+    plane = plane_of(results)
+    places = np.concatenate(_sensor_points(results, plane))
+    whole = np.concatenate([places, plane.project(results.position_m)])
+    return len(results.sensors) > 1 and extent(places) < _CROWDED * extent(whole)
+
+
+def _sensor_points(results: Results, plane: Plane) -> list[NDArray[np.float64]]:
+    return [plane.project(place.position_m) for place in results.sensors]
+
+
+def _label(ax: Axes, plane: Plane, unit: str) -> None:
+    ax.set_xlabel(f"{plane.across} ({unit})")
+    ax.set_ylabel(f"{plane.along} ({unit})")
+    ax.set_aspect("equal", adjustable="datalim")
+
+
+def _legend(ax: Axes, columns: int = 2) -> None:
+    ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.13), ncols=columns, borderaxespad=0.0)
+
+
+def _draw_truth(results: Results, ax: Axes, plane: Plane, unit: float) -> None:
+    if results.truth is None:
+        return
+    true = plane.project(results.truth.position_m) / unit
+    if float(np.ptp(true, axis=0).max()) > 0.0:
+        ax.plot(*true.T, "--", color=look.TRUTH, lw=1.2, zorder=5, label="truth")
+    else:
+        ax.plot(*true[0], "x", color=look.TRUTH, ms=9, mew=1.5, zorder=6, label="truth")
 
 
 def _ellipses(
-    results: Results, plane: Plane, track: NDArray[np.float64]
+    results: Results, plane: Plane, track: NDArray[np.float64], spread: float
 ) -> tuple[NDArray[np.float64], float]:
     chosen = look.some(len(track), _ELLIPSES)
     outline = look.ellipse_outline(plane.covariance(results.position_covariance_m2[chosen]))
-    factor = look.magnification(outline, extent(track))
+    factor = look.magnification(outline, spread)
     full = np.full((len(track), outline.shape[1], 2), np.nan)
     full[chosen] = outline * factor
     return full, factor
@@ -69,7 +114,7 @@ def _draw_ellipses(
     factor: float,
     unit: float,
 ) -> None:
-    label = "95 % ellipses" if results.time_s.size > 1 else "95 % ellipse"
+    label = "95 % ellipse" if results.static else "95 % ellipses"
     if factor > 1.0:
         label += f", drawn {factor:.0f} times larger"
     for centre, shape in zip(track, outline, strict=True):
@@ -84,31 +129,65 @@ def _draw_ends(ax: Axes, track: NDArray[np.float64]) -> None:
     ax.plot(*track[-1], "s", color=look.PATH, ms=6, zorder=6, label="end")
 
 
-def _draw_sensors(results: Results, ax: Axes, plane: Plane, unit: float) -> None:
-    labels = len(results.sensors) <= 12
+def _draw_sensors(
+    results: Results, ax: Axes, plane: Plane, unit: float, *, crowded: bool, sights: bool = True
+) -> None:
+    """Draw where the sensors were; crowded ones share one name."""
+    names = len(results.sensors) <= _MOST_LABELS and not crowded
+    platforms = {platform.sensor: platform for platform in results.platforms}
     for index, place in enumerate(results.sensors):
         appearance = look.sensor_look(index)
-        points = plane.project(place.position_m) / unit
-        _draw_sight_lines(results, ax, place, plane, colour=appearance["color"], unit=unit)
+        colour = appearance["color"]
+        platform = platforms.get(place.sensor)
+        if sights:
+            _draw_sight_lines(results, ax, place, plane, colour=colour, unit=unit)
+        points = _way(place, platform, plane) / unit
         if place.moving:
-            ax.plot(*points.T, color=appearance["color"], lw=1.0)
+            ax.plot(*points.T, color=colour, lw=1.0)
+        if platform is not None and not crowded:
+            fixes = place.position_m[look.some(len(place.position_m), _MOST_FIXES)]
+            ax.plot(*plane.project(fixes).T / unit, ".", color=colour, ms=3, alpha=0.6, zorder=2)
         ax.plot(
             *points[-1], ls="none", mec="black", mew=0.6, ms=7, zorder=7, label="_", **appearance
         )
-        if labels:
-            ax.annotate(
-                place.sensor,
-                points[-1],
-                xytext=(5, 5),
-                textcoords="offset points",
-                fontsize=8,
-                zorder=8,
-                bbox={"fc": "white", "ec": "none", "alpha": 0.6, "pad": 0.5},
-            )
-    ax.plot([], [], ls="none", marker="o", color="0.6", mec="black", mew=0.6, label="sensors")
-    ax.plot([], [], color="0.6", lw=0.7, label="bearings")
-    if results.residuals.rejected.any():
-        ax.plot([], [], color=look.ALARM, lw=0.7, ls=":", label="rejected bearings")
+        if names:
+            _name(ax, place.sensor, points[-1])
+    if crowded:
+        ends = [points[-1] for points in _sensor_points(results, plane)]
+        _name(ax, f"{len(results.sensors)} sensors", np.mean(ends, axis=0) / unit, away=9.0)
+    _sensor_legend(results, ax, sights=sights, fixes=bool(platforms) and not crowded)
+
+
+def _way(place: SensorPath, platform: PlatformPath | None, plane: Plane) -> NDArray[np.float64]:
+    if platform is None:
+        return plane.project(place.position_m)
+    return plane.project(platform.knots().at(look.dense(platform.time_s))[0])
+
+
+def _name(ax: Axes, text: str, point: NDArray[np.float64], away: float = 5.0) -> None:
+    ax.annotate(
+        text,
+        (float(point[0]), float(point[1])),
+        xytext=(away, 5),
+        textcoords="offset points",
+        fontsize=8,
+        zorder=8,
+        bbox={"fc": "white", "ec": "none", "alpha": 0.6, "pad": 0.5},
+    )
+
+
+def _sensor_legend(results: Results, ax: Axes, *, sights: bool, fixes: bool) -> None:
+    moving = any(place.moving for place in results.sensors)
+    label = "sensors, at their last places" if moving else "sensors"
+    style: dict[str, Any] = {"marker": "o", "color": "0.6", "mec": "black", "mew": 0.6}
+    ax.plot([], [], ls="-" if moving else "none", lw=1.0, label=label, **style)
+    if fixes:
+        ax.plot([], [], ls="none", marker=".", ms=3, color="0.6", label="their fixes")
+    bearings = results.residuals.kind == "azimuth"
+    if sights and bearings.any():
+        ax.plot([], [], color="0.6", lw=0.7, label="bearings")
+        if results.residuals.rejected[bearings].any():
+            ax.plot([], [], color=look.ALARM, lw=0.7, ls=":", label="rejected bearings")
 
 
 def _draw_sight_lines(
@@ -122,7 +201,9 @@ def _draw_sight_lines(
     )
     for wanted, style in styles:
         rows = np.flatnonzero(wanted)
-        rows = rows[look.some(rows.size, _SIGHT_LINES)] if rows.size else rows
+        if not rows.size:
+            continue
+        rows = rows[look.some(rows.size, _SIGHT_LINES)]
         lines = np.stack([plane.project(start[rows]), plane.project(end[rows])]) / unit
         ax.plot(lines[..., 0], lines[..., 1], lw=0.7, zorder=1, **style)
 
@@ -134,12 +215,15 @@ def sight_lines(
 
     A line has the direction measured and the length of the distance to the path. Where that
     direction needs what results do not hold (an attitude, the sidereal time), or there is no
-    elevation, the line ends at the path.
+    elevation, the line ends at the path. A sensor that measured no bearing has none.
     """
     azimuth = results.residuals.of(place.sensor, "azimuth")
     elevation = results.residuals.of(place.sensor, "elevation")
     time = azimuth.time_s
     start = columns_at(time, place.time_s, place.position_m)
+    for platform in results.platforms:
+        if platform.sensor == place.sensor:
+            start = platform.knots().at(time)[0]
     target, _ = results.knots().at(time)
     rejected = azimuth.rejected
     if place.axes in ("enu", "xyz") and len(azimuth) == len(elevation):

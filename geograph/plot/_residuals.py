@@ -1,9 +1,9 @@
-"""Residuals of every sensor, in units of angle and of their standard deviations."""
+"""Residuals of every sensor and pair, in their own units and in their standard deviations."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,10 +17,26 @@ if TYPE_CHECKING:
 
     from geograph.results import ResidualTable, Results
 
-_KIND_LOOK = (("o", look.BLUE), ("^", look.ORANGE), ("s", look.GREEN), ("D", look.PURPLE))
+
+class _Kind(NamedTuple):
+    """What measurements of a kind are called, one by one and together, and their look."""
+
+    coordinate: str
+    table: str
+    unit: str
+    marker: str
+    colour: str
+
+
+_KINDS = {
+    "azimuth": _Kind("azimuth", "bearings", "rad", "o", look.BLUE),
+    "elevation": _Kind("elevation", "bearings", "rad", "^", look.ORANGE),
+    "toa": _Kind("arrival time", "arrival times", "s", "s", look.GREEN),
+    "tdoa": _Kind("time difference", "time differences", "s", "D", look.PURPLE),
+    "fdoa": _Kind("frequency difference", "frequency differences", "Hz", "v", look.SKY),
+}
 _NORMALISED_LIMIT = 6.0
-_TALL_LAYOUT = 8
-_TAG = "time tag, by the sensor's own clock (s)"
+_TALL_LAYOUT, _MOST_PANELS = 8, 40
 
 
 def draw_normalised(results: Results, ax: Axes) -> None:
@@ -33,56 +49,94 @@ def draw_normalised(results: Results, ax: Axes) -> None:
             label = place.sensor if len(results.sensors) <= 12 else "_"
             _scatter_normalised(ax, rows, label=label, **style)
     _mark_rejected(ax, results.residuals, normalised=True)
-    look.label_time(ax, _TAG)
+    look.label_time(ax, "time tag (s)")
     ax.set_ylabel("residual / sigma")
 
 
-def residual_figure(results: Results) -> Figure:
-    """Return a figure with the residuals of each sensor.
+def _tag(rows: ResidualTable) -> str:
+    """Return the label of an axis of time tags."""
+    differences = rows.reference != ""
+    if not differences.any():
+        return "time tag, by the sensor's own clock (s)"
+    return "time tag, by the reference's clock (s)" if differences.all() else "time tag (s)"
 
-    Up to eight sensors have a row each: residuals in their unit on the left, over their standard
-    deviation on the right. More share a grid of the latter, with the former's RMS in the titles.
+
+def residual_panels(results: Results) -> list[tuple[str, ResidualTable]]:
+    """Return titles and residuals of all panels: one for each sensor, or pair, and unit.
+
+    Where pairs would make too many, those of one sensor share a panel.
     """
-    measured = [
-        place.sensor for place in results.sensors if len(results.residuals.of(place.sensor))
-    ]
-    if len(measured) > _TALL_LAYOUT:
-        return _grid_figure(results, measured)
-    figure = look.new_figure(10.0, 1.0 + 2.0 * max(len(measured), 1))
-    look.headline(figure, results, "residuals of each sensor (measured - predicted)")
-    axes = figure.subplots(max(len(measured), 1), 2, squeeze=False, sharex=True)
-    for (left, right), sensor in zip(axes, measured, strict=False):
-        rows = results.residuals.of(sensor)
-        _draw_in_units(left, rows, sensor)
+    rows = results.residuals
+    order = {place.sensor: index for index, place in enumerate(results.sensors)}
+    units = list(dict.fromkeys(kind.unit for kind in _KINDS.values()))
+    pairs = rows.reference
+    keys = set(zip(rows.sensor.tolist(), pairs.tolist(), rows.unit.tolist(), strict=True))
+    if len(keys) > _MOST_PANELS:
+        # A reference of any name, so that differences stay apart from what is none.
+        pairs = np.where(pairs != "", "others", "")
+        keys = set(zip(rows.sensor.tolist(), pairs.tolist(), rows.unit.tolist(), strict=True))
+    panels = []
+    for sensor, reference, unit in sorted(
+        keys,
+        key=lambda key: (order[key[0]], key[1] != "", order.get(key[1], 0), units.index(key[2])),
+    ):
+        own = rows.where((rows.sensor == sensor) & (pairs == reference) & (rows.unit == unit))
+        panels.append((f"{sensor} - {reference}" if reference else sensor, own))
+    return panels
+
+
+def residual_figure(results: Results) -> Figure:
+    """Return a figure with the residuals of each sensor, or pair, and unit.
+
+    Up to eight have a row each: residuals in their unit on the left, over their standard deviation
+    on the right. More share a grid of the latter, with the former's RMS in the titles.
+    """
+    panels = residual_panels(results)
+    if len(panels) > _TALL_LAYOUT:
+        return _grid_figure(results, panels)
+    figure = look.new_figure(10.5, 1.0 + 2.0 * max(len(panels), 1))
+    look.headline(figure, results, f"residuals of each {_each(results)} (measured - predicted)")
+    axes = figure.subplots(max(len(panels), 1), 2, squeeze=False, sharex=True)
+    speed = results.summary.get("propagation_speed_m_s")
+    for (left, right), (title, rows) in zip(axes, panels, strict=False):
+        _draw_in_units(left, rows, title, speed)
         _draw_expectation(right, rows)
         _draw_kinds(right, rows)
         right.set_ylabel("residual / sigma")
     for ax in axes[-1]:
-        look.label_time(ax, _TAG)
+        look.label_time(ax, _tag(results.residuals))
     _legend(figure, axes.ravel().tolist())
     return figure
 
 
-def _grid_figure(results: Results, sensors: list[str]) -> Figure:
-    columns = 4 if len(sensors) <= 20 else 5
-    count = math.ceil(len(sensors) / columns)
+def _each(results: Results) -> str:
+    differences = results.residuals.reference != ""
+    if not differences.any():
+        return "sensor"
+    return "sensor less its reference" if differences.all() else "sensor and pair"
+
+
+def _grid_figure(results: Results, panels: list[tuple[str, ResidualTable]]) -> Figure:
+    columns = 4 if len(panels) <= 20 else 5
+    count = math.ceil(len(panels) / columns)
     figure = look.new_figure(3.2 * columns, 1.2 + 1.9 * count)
-    look.headline(figure, results, "normalised residuals of each sensor")
+    look.headline(figure, results, f"normalised residuals of each {_each(results)}")
     axes = figure.subplots(count, columns, squeeze=False, sharex=True, sharey=True)
-    for ax, sensor in zip(axes.flat, sensors, strict=False):
-        rows = results.residuals.of(sensor)
+    for ax, (title, rows) in zip(axes.flat, panels, strict=False):
         _draw_expectation(ax, results.residuals)
         _draw_kinds(ax, rows)
         used = rows.residual[~rows.rejected]
         rms = math.sqrt(float(np.mean(used**2))) if used.size else math.nan
         unit = fitting_unit(str(rows.unit[0]), rms)
-        ax.set_title(f"{sensor}, RMS {rms / unit.size:.3g} {unit.name}")
-    for ax in axes.flat[len(sensors) :]:
+        ax.set_title(f"{title}, RMS {rms / unit.size:.3g} {unit.name}")
+    for ax in axes.flat[len(panels) :]:
         ax.set_axis_off()
     for ax in axes[:, 0]:
         ax.set_ylabel("residual / sigma")
-    for ax in axes[-1]:
-        look.label_time(ax, _TAG)
+    # The last row may end early: the time stands under the lowest panel of each column.
+    for ax in axes.flat[max(len(panels) - columns, 0) : len(panels)]:
+        ax.tick_params(labelbottom=True)
+        look.label_time(ax, _tag(results.residuals))
     _legend(figure, axes.ravel().tolist())
     return figure
 
@@ -102,13 +156,11 @@ def _kinds(rows: ResidualTable) -> list[str]:
 
 
 def _draw_kinds(ax: Axes, rows: ResidualTable) -> None:
-    for kind, (marker, colour) in zip(_kinds(rows), _KIND_LOOK, strict=False):
-        _scatter_normalised(ax, _of_kind(rows, kind), label=kind, marker=marker, color=colour)
+    for name in _kinds(rows):
+        kind = _KINDS[name]
+        own = rows.where(rows.kind == name)
+        _scatter_normalised(ax, own, label=kind.coordinate, marker=kind.marker, color=kind.colour)
     _mark_rejected(ax, rows, normalised=True)
-
-
-def _of_kind(rows: ResidualTable, kind: str) -> ResidualTable:
-    return rows.of(str(rows.sensor[0]), kind)
 
 
 def _scatter_normalised(
@@ -158,35 +210,55 @@ def _mark_rejected(ax: Axes, rows: ResidualTable, *, normalised: bool, size: flo
     )
 
 
-def _draw_in_units(ax: Axes, rows: ResidualTable, sensor: str) -> None:
+def _draw_in_units(ax: Axes, rows: ResidualTable, title: str, speed_m_s: float | None) -> None:
     used = rows.residual[~rows.rejected]
     # A few gross values should not choose the unit for all.
     typical = np.quantile(np.abs(used), 0.98) if used.size else 0.0
     unit = fitting_unit(str(rows.unit[0]), typical)
-    for kind, (marker, colour) in zip(_kinds(rows), _KIND_LOOK, strict=False):
-        chosen = _of_kind(rows, kind)
+    for name in _kinds(rows):
+        kind = _KINDS[name]
+        chosen = rows.where(rows.kind == name)
         shown = ~chosen.rejected
         ax.plot(
             chosen.time_s[shown],
             chosen.residual[shown] / unit.size,
             ls="none",
-            marker=marker,
-            color=colour,
+            marker=kind.marker,
+            color=kind.colour,
             ms=_marker_size(len(chosen)),
             alpha=0.7,
             mew=0,
-            label=kind,
+            label=kind.coordinate,
         )
     ax.axhline(0.0, color="0.4", lw=0.8)
     ax.margins(y=0.12)
     _mark_rejected(ax, rows, normalised=False, size=unit.size)
-    lost = np.unique(rows.line[rows.rejected]).size
+    lost = _measurements(rows.where(rows.rejected))
     note = f", {lost} rejected" if lost else ""
-    ax.set_title(f"{sensor}: {_measurements(rows)} measurements{note}")
+    what = _KINDS[str(rows.kind[0])].table
+    ax.set_title(f"{title}: {_measurements(rows)} {what}{note}")
     ax.set_ylabel(f"residual ({unit.name})")
+    if str(rows.unit[0]) == "s" and speed_m_s is not None and np.isfinite(speed_m_s):
+        _add_metres(ax, unit.size * speed_m_s, largest=typical * speed_m_s)
+
+
+def _add_metres(ax: Axes, size_m: float, *, largest: float) -> None:
+    """Add an axis on the right that tells times as the way of the signal."""
+    unit = fitting_unit("m", largest)
+    ratio = size_m / unit.size
+
+    def there(time: Any) -> Any:
+        return time * ratio
+
+    def back(way: Any) -> Any:
+        return way / ratio
+
+    right = ax.secondary_yaxis("right", functions=(there, back))
+    right.set_ylabel(f"as range ({unit.name})")
 
 
 def _measurements(rows: ResidualTable) -> int:
+    """Return how many measurements rows are of: a bearing has two."""
     return max((int((rows.kind == kind).sum()) for kind in _kinds(rows)), default=0)
 
 

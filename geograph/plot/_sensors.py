@@ -8,6 +8,8 @@ import numpy as np
 
 from geograph.plot import _style as look
 from geograph.plot._time import time_label
+from geograph.results.facts import estimate_text
+from geograph.states import RECORDING_NAME
 from geograph.units import fitting_unit
 
 if TYPE_CHECKING:
@@ -25,7 +27,7 @@ def draw_errors_in_sigmas(results: Results, ax: Axes) -> None:
     errors.sort(key=lambda error: -abs(error.estimate) / error.prior_sigma)
     shown = errors[:_OVERVIEW_ROWS]
     if not shown:
-        ax.text(0.5, 0.5, "all sensors are taken as perfect", ha="center", va="center")
+        ax.text(0.5, 0.5, "no errors of sensors are estimated", ha="center", va="center")
         ax.set_axis_off()
         return
     ax.axvspan(-1.0, 1.0, color=look.PRIOR, alpha=0.8, lw=0, label="prior, 1 sigma")
@@ -48,8 +50,8 @@ def draw_errors_in_sigmas(results: Results, ax: Axes) -> None:
 
 def _row_label(error: ErrorState) -> str:
     unit = fitting_unit(error.unit, error.estimate, error.sigma)
-    value = f"{error.estimate / unit.size:+.3g} ± {error.sigma / unit.size:.2g} {unit.name}"
-    return f"{error.sensor} {error.state.replace('_', ' ')}  {value}"
+    owner = "" if error.sensor == RECORDING_NAME else f"{error.sensor} "
+    return f"{owner}{error.state.replace('_', ' ')}  {estimate_text(error, unit)} {unit.name}"
 
 
 def error_figure(results: Results) -> Figure:
@@ -73,7 +75,7 @@ def error_figure(results: Results) -> Figure:
         )
     else:
         ax = figure.add_subplot(grid[0, 0])
-        ax.text(0.5, 0.5, "all sensors are taken as perfect", ha="center", va="center")
+        ax.text(0.5, 0.5, "no errors of sensors are estimated", ha="center", va="center")
         ax.set_axis_off()
     for index, state in enumerate(states):
         ax = figure.add_subplot(grid[index // columns, index % columns])
@@ -103,6 +105,7 @@ def _draw_state(ax: Axes, errors: list[ErrorState]) -> None:
     _limit_to_estimates(ax, errors, unit.size)
     ax.set_title(errors[0].state.replace("_", " "))
     ax.set_xlabel(unit.name)
+    ax.locator_params(axis="x", nbins=6)
     ax.grid(axis="y", visible=False)
 
 
@@ -119,7 +122,8 @@ def draw_curves(results: Results, ax: Axes, kind: str) -> None:
     """Draw one kind of error against time, a line for each sensor where it changes."""
     curves = [curve for curve in results.curves if curve.kind == kind]
     order = [place.sensor for place in results.sensors]
-    unit = fitting_unit(curves[0].unit, *(curve.estimate for curve in curves))
+    spread = [part for curve in curves for part in (curve.estimate, look.NORMAL_95 * curve.sigma)]
+    unit = fitting_unit(curves[0].unit, *spread)
     for curve in curves:
         colour = look.sensor_look(order.index(curve.sensor))["color"]
         _draw_curve(ax, curve, colour=colour, size=unit.size)

@@ -10,7 +10,8 @@ import numpy as np
 from geograph.plot import _style as look
 from geograph.plot._plane import length_unit
 from geograph.results.data import turned_covariance
-from geograph.units import Unit
+from geograph.results.facts import static_facts
+from geograph.units import Unit, fitting_unit
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from geograph.results import Results
 
 _ELLIPSES = 15
+_FACT_INDENT = 90.0
 # A flatter path than this would be a mere line if height had the scale of distance.
 _ONE_SCALE_RATIO = 8.0
 
@@ -128,6 +130,37 @@ def _series(
         true=true,
         error=error,
     )
+
+
+def draw_horizontal(results: Results, ax: Axes) -> None:
+    """Draw the 1-sigma semi-axes over ground against time."""
+    flat = results.level_covariance_m2()[:, :2, :2]
+    finite = np.isfinite(flat).all(axis=(1, 2))
+    sigma = np.full((results.time_s.size, 2), np.nan)
+    sigma[finite] = np.sqrt(np.maximum(np.linalg.eigvalsh(flat[finite]), 0.0))
+    unit = fitting_unit("m", sigma)
+    for column, label, style in ((1, "major semi-axis", "-"), (0, "minor semi-axis", "--")):
+        ax.plot(results.time_s, sigma[:, column] / unit.size, style, color=look.PATH, label=label)
+    ax.set_ylim(bottom=0.0)
+    look.label_time(ax, time_label(results))
+    ax.set_ylabel(f"1-sigma ellipse over ground ({unit.name})")
+    ax.legend(loc="best")
+
+
+def draw_facts(results: Results, ax: Axes) -> None:
+    """Write down where an object at rest is."""
+    ax.set_axis_off()
+    ax.set_title("the object at rest")
+    for row, (name, text) in enumerate(static_facts(results)):
+        for across, words, colour in ((0.0, name, "0.35"), (_FACT_INDENT, text, look.BLACK)):
+            ax.annotate(
+                words,
+                (0.0, 1.0),
+                xycoords="axes fraction",
+                xytext=(across, -18.0 * (row + 1)),
+                textcoords="offset points",
+                color=colour,
+            )
 
 
 def draw_side_view(results: Results, ax: Axes) -> None:

@@ -8,6 +8,7 @@ be drawn right after smoothing can be drawn again, years later, from the files a
 from geograph.results.data import (
     ErrorCurve,
     ErrorState,
+    PlatformPath,
     ResidualTable,
     Results,
     SensorPath,
@@ -19,6 +20,7 @@ from geograph.results.write import save
 __all__ = [
     "ErrorCurve",
     "ErrorState",
+    "PlatformPath",
     "ResidualTable",
     "Results",
     "SensorPath",

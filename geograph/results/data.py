@@ -22,7 +22,7 @@ ELLIPSOID_PROBABILITY = 0.95
 SURPRISING_SIGMAS = 3.0
 """A sensor error further than this many prior sigmas from zero is marked wherever it is shown."""
 
-ErrorKind = Literal["azimuth", "elevation", "clock"]
+ErrorKind = Literal["azimuth", "elevation", "clock", "frequency"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +79,7 @@ class ErrorCurve:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SensorPath:
-    """Where a sensor was.
+    """Where a sensor was by the recording; of a platform whose path is estimated, its fixes.
 
     Parameters
     ----------
@@ -103,15 +103,47 @@ class SensorPath:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class PlatformPath:
+    """Where a moving sensor was, as estimated from its fixes and from all measurements.
+
+    Parameters
+    ----------
+    sensor
+        Its name.
+    time_s
+        Shape (k,), seconds after the epoch, at the knots.
+    position_m, velocity_m_s
+        Shape (k, 3), in the recording's frame.
+    position_covariance_m2
+        Shape (k, 3, 3).
+    """
+
+    sensor: str
+    time_s: NDArray[np.float64]
+    position_m: NDArray[np.float64]
+    velocity_m_s: NDArray[np.float64]
+    position_covariance_m2: NDArray[np.float64]
+
+    def knots(self) -> Knots:
+        """Return the states at the knots, to be interpolated."""
+        return Knots(time_s=self.time_s, position_m=self.position_m, velocity_m_s=self.velocity_m_s)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ResidualTable:
     """Residuals of all measurements, a row for each scalar; every column has shape (n,).
 
     Parameters
     ----------
     time_s
-        Time tag, by the sensor's own clock.
-    sensor, kind, unit
-        Sensor's name, what was measured (``"azimuth"``, ``"elevation"``), and its SI unit.
+        Time tag, by the sensor's own clock; of a difference, by the reference's.
+    sensor, reference
+        Names of the sensor and of the one that a difference refers to; empty for what is none.
+    emission
+        What the recording calls the emission that arrived; empty for what is no arrival.
+    kind, unit
+        What was measured (``"azimuth"``, ``"elevation"``, ``"toa"``, ``"tdoa"``, ``"fdoa"``), and
+        its SI unit.
     measured, predicted, residual, sigma
         In that unit; residual is measured less predicted, angles wrapped to half a turn.
     normalised
@@ -126,6 +158,8 @@ class ResidualTable:
 
     time_s: NDArray[np.float64]
     sensor: NDArray[np.str_]
+    reference: NDArray[np.str_]
+    emission: NDArray[np.str_]
     kind: NDArray[np.str_]
     unit: NDArray[np.str_]
     measured: NDArray[np.float64]
@@ -145,6 +179,10 @@ class ResidualTable:
         rows = self.sensor == sensor
         if kind is not None:
             rows &= self.kind == kind
+        return self.where(rows)
+
+    def where(self, rows: NDArray[np.bool_]) -> ResidualTable:
+        """Return some rows, by a mask of shape (n,)."""
         return ResidualTable(**{name: column[rows] for name, column in vars(self).items()})
 
 
@@ -168,6 +206,8 @@ class Results:
         Shape (k, 3): descending semi-axes of the 95 % ellipsoids.
     sensors
         Where each sensor was.
+    platforms
+        Where those were whose path is estimated.
     errors, curves
         Their errors; curves only of those errors that change with time.
     residuals
@@ -189,6 +229,7 @@ class Results:
     sigma_speed_m_s: NDArray[np.float64] | None
     semi_axes_m: NDArray[np.float64]
     sensors: tuple[SensorPath, ...]
+    platforms: tuple[PlatformPath, ...]
     errors: tuple[ErrorState, ...]
     curves: tuple[ErrorCurve, ...]
     residuals: ResidualTable
@@ -199,6 +240,16 @@ class Results:
     def speed_m_s(self) -> NDArray[np.float64] | None:
         """Speed relative to the recording's frame, shape (k,), or None without a velocity."""
         return None if self.velocity_m_s is None else np.linalg.norm(self.velocity_m_s, axis=-1)
+
+    @property
+    def static(self) -> bool:
+        """Whether the object is at rest; there may be knots all the same, for the sensors' sake."""
+        return self.time_s.size == 1 or self.summary.get("motion") == "static"
+
+    @property
+    def height_held(self) -> bool:
+        """Whether the height is given and not estimated: a study in the plane."""
+        return bool(self.summary.get("height_held", False))
 
     def knots(self) -> Knots:
         """Return the states at the knots, to be interpolated."""

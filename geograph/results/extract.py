@@ -16,15 +16,24 @@ from geograph.results.data import (
     Results,
     SensorPath,
 )
+from geograph.results.platforms import platform_paths
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
+    from geograph.recording import Recording
     from geograph.sensors import Sensor, SensorErrors
     from geograph.track import Track
 
 _CURVE_POINTS = 200
-_ERROR_UNITS: dict[ErrorKind, str] = {"azimuth": "rad", "elevation": "rad", "clock": "s"}
+_ERROR_UNITS: dict[ErrorKind, str] = {
+    "azimuth": "rad",
+    "elevation": "rad",
+    "clock": "s",
+    "frequency": "Hz",
+}
 
 
 def from_track(track: Track, *, command: str | None = None) -> Results:
@@ -52,6 +61,7 @@ def from_track(track: Track, *, command: str | None = None) -> Results:
         sigma_speed_m_s=_speed_sigma(track),
         semi_axes_m=track.ellipsoids(ELLIPSOID_PROBABILITY).semi_axes_m,
         sensors=tuple(_sensor_path(sensor, start, end) for sensor in sensors),
+        platforms=platform_paths(track),
         errors=tuple(
             ErrorState(
                 sensor=sensor,
@@ -68,7 +78,7 @@ def from_track(track: Track, *, command: str | None = None) -> Results:
             _curve(track, sensor, kind, start, end)
             for sensor in sensors
             for kind in _ERROR_UNITS
-            if _changes(sensor.errors, kind)
+            if _changes(track, sensor, kind)
         ),
         residuals=_residual_table(track),
         truth=recording.truth,
@@ -99,11 +109,49 @@ def _summary(track: Track, command: str | None) -> dict[str, Any]:
     facts["frame"] = recording.frame
     facts["epoch"] = None if recording.epoch is None else recording.epoch.isoformat()
     facts["time_span_s"] = [start, end]
+    facts["propagation_speed_m_s"] = recording.propagation_speed_m_s
+    facts["height_held"] = _height_held(recording)
+    facts["rejected"] = _with_emissions(facts.get("rejected", ()), recording)
     facts["ellipsoid_probability"] = ELLIPSOID_PROBABILITY
     facts["settings"] = dataclasses.asdict(track.settings)
     facts["versions"] = versions()
     facts["command"] = command
     return facts
+
+
+def _height_held(recording: Recording) -> bool:
+    """Return whether the whole path is held to one height of a local frame."""
+    held = recording.constraints
+    if recording.frame != "local" or held is None:
+        return False
+    pairs = zip(held.kind, held.time_s, strict=True)
+    return any(kind == "altitude_m" and np.isnan(time) for kind, time in pairs)
+
+
+def _emissions(recording: Recording) -> dict[tuple[str, float], str]:
+    """Return what each arrival's emission is called, by sensor and arrival time."""
+    table = recording.arrivals
+    if table is None:
+        return {}
+    names, labels = recording.sensor_names, table.emission_names
+    rows = zip(table.sensor.tolist(), table.toa_s.tolist(), table.emission.tolist(), strict=True)
+    return {
+        (names[sensor], time): labels[emission] if labels else str(emission)
+        for sensor, time, emission in rows
+    }
+
+
+def _with_emissions(
+    rejected: Iterable[dict[str, Any]], recording: Recording
+) -> list[dict[str, Any]]:
+    """Return rejected measurements, those that are arrivals with their emissions."""
+    known = _emissions(recording)
+    return [
+        entry | {"emission": known[entry["sensor"], entry["time_s"]]}
+        if entry.get("table") == "arrivals"
+        else entry
+        for entry in rejected
+    ]
 
 
 def _speed_sigma(track: Track) -> NDArray[np.float64] | None:
@@ -120,20 +168,31 @@ def _speed_sigma(track: Track) -> NDArray[np.float64] | None:
 def _sensor_path(sensor: Sensor, start: float, end: float) -> SensorPath:
     time = np.array([start])
     if sensor.trajectory is not None:
+        if sensor.platform_process_noise is not None:
+            # Its fixes themselves: a curve through their noise is nowhere that it was.
+            return SensorPath(
+                sensor=sensor.name,
+                axes=sensor.axes,
+                time_s=sensor.trajectory.time_s,
+                position_m=sensor.trajectory.position_m,
+            )
         low, high = sensor.trajectory.time_s[[0, -1]]
         time = np.linspace(max(start, low), min(end, high), _CURVE_POINTS)
     position = np.array(sensor.position_at(time))
     return SensorPath(sensor=sensor.name, axes=sensor.axes, time_s=time, position_m=position)
 
 
-def _changes(errors: SensorErrors, kind: ErrorKind) -> bool:
-    _, drift, instability = _prior(errors, kind)
-    return drift > 0.0 or instability > 0.0
+def _changes(track: Track, sensor: Sensor, kind: ErrorKind) -> bool:
+    """Return whether an error was estimated, which a sensor without measurements has not."""
+    estimated = track.sensor_errors.get(sensor.name, {})
+    return f"{kind}_drift" in estimated or f"{kind}_walk" in estimated
 
 
 def _prior(errors: SensorErrors, kind: ErrorKind) -> tuple[float, float, float]:
     if kind == "clock":
         return errors.clock_offset_s, errors.clock_drift_s_s, errors.clock_instability_s_sqrt_s
+    if kind == "frequency":
+        return errors.frequency_offset_hz, errors.frequency_drift_hz_s, 0.0
     return (
         getattr(errors, f"{kind}_bias_rad"),
         getattr(errors, f"{kind}_drift_rad_s"),
@@ -162,29 +221,24 @@ def _residual_table(track: Track) -> ResidualTable:
     source = track.residuals
     names = np.asarray(track.recording.sensor_names, dtype=np.str_)
     sensor = names[np.asarray(source.sensor, dtype=np.int64)]
+    reference = np.where(source.reference >= 0, names[source.reference], "")
     kind = np.asarray(source.kind, dtype=np.str_)
-    # The summary names what a loss weighed down to nothing, too.
-    named = {(row["sensor"], row["time_s"], row["line"]) for row in track.summary["rejected"]}
-    rows = zip(sensor.tolist(), source.time_s.tolist(), source.line.tolist(), strict=True)
+    known = _emissions(track.recording)
+    arrivals = zip(kind.tolist(), sensor.tolist(), source.time_s.tolist(), strict=True)
+    emission = [known[name, time] if what == "toa" else "" for what, name, time in arrivals]
     return ResidualTable(
         time_s=source.time_s,
         sensor=sensor,
+        reference=reference,
+        emission=np.array(emission, dtype=np.str_),
         kind=kind,
-        unit=_residual_units(kind),
+        unit=np.asarray(source.unit, dtype=np.str_),
         measured=source.measured,
         predicted=source.predicted,
         residual=source.residual,
         sigma=source.sigma,
         normalised=source.normalised,
         weight=source.weight,
-        rejected=source.rejected | np.array([row in named for row in rows], dtype=np.bool_),
+        rejected=source.rejected,
         line=source.line,
     )
-
-
-def _residual_units(kind: NDArray[np.str_]) -> NDArray[np.str_]:
-    """Return the SI unit of each kind of measurement, shape of ``kind``."""
-    units = np.full(kind.shape, "rad", dtype="<U3")
-    units[np.char.endswith(kind, "_m")] = "m"
-    units[np.char.endswith(kind, "_m_s")] = "m/s"
-    return units

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 TRACK, SENSORS, RESIDUALS, SUMMARY = "track.csv", "sensors.csv", "residuals.csv", "summary.json"
 PLACES, CURVES, TRUTH = "sensor_positions.csv", "sensor_errors.csv", "truth.csv"
-TABLES = frozenset({TRACK, SENSORS, RESIDUALS, SUMMARY, PLACES, CURVES, TRUTH})
+PLATFORMS = "platforms.csv"
+TABLES = frozenset({TRACK, SENSORS, RESIDUALS, SUMMARY, PLACES, CURVES, TRUTH, PLATFORMS})
 PICTURES = (
     "overview.png",
     "path.png",
@@ -13,6 +14,10 @@ PICTURES = (
     "residuals.png",
     "sensor_errors.png",
 )
+"""Pictures of every result; without a velocity none of it, and none of a height that is given."""
+
+PLATFORM_PICTURE = "platforms.png"
+"""Picture of the platforms whose path is estimated, where there are any."""
 
 POSITION = ("x_m", "y_m", "z_m")
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")

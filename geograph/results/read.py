@@ -18,6 +18,7 @@ from geograph.results.data import (
     ErrorCurve,
     ErrorKind,
     ErrorState,
+    PlatformPath,
     ResidualTable,
     Results,
     SensorPath,
@@ -142,6 +143,7 @@ def load(folder: Path | str) -> Results:
         status=str(summary["status"]),
         **track,
         sensors=_load_places(folder / names.PLACES),
+        platforms=_load_platforms(folder / names.PLATFORMS),
         errors=_load_errors(folder / names.SENSORS),
         curves=_load_curves(folder / names.CURVES) if (folder / names.CURVES).exists() else (),
         residuals=_load_residuals(folder / names.RESIDUALS),
@@ -175,9 +177,7 @@ def _load_summary(path: Path) -> dict[str, Any]:
 def load_track(path: Path) -> dict[str, Any]:
     """Read ``track.csv``: the fields of :class:`Results` that stand in it, by name."""
     table = Table(path, ("time_s", *names.POSITION, *names.COVARIANCE, *names.SEMI_AXES))
-    covariance = np.empty((table.text("time_s").size, 3, 3))
-    for name, (row, column) in names.COVARIANCE.items():
-        covariance[:, row, column] = covariance[:, column, row] = table.numbers(name)
+    covariance = _covariance(table)
     if not covariance.size:
         raise InputError("has no row; expected one for each knot", path=path)
     moving = all(name in table for name in names.VELOCITY)
@@ -192,6 +192,13 @@ def load_track(path: Path) -> dict[str, Any]:
         # Of a state that the data do not determine they may be infinite.
         "semi_axes_m": np.stack([table.numbers(name) for name in names.SEMI_AXES], axis=-1),
     }
+
+
+def _covariance(table: Table) -> NDArray[np.float64]:
+    covariance = np.empty((table.text("time_s").size, 3, 3))
+    for name, (row, column) in names.COVARIANCE.items():
+        covariance[:, row, column] = covariance[:, column, row] = table.numbers(name)
+    return covariance
 
 
 def load_truth(path: Path) -> Truth:
@@ -249,10 +256,37 @@ def _load_places(path: Path) -> tuple[SensorPath, ...]:
     )
 
 
+def _load_platforms(path: Path) -> tuple[PlatformPath, ...]:
+    if not path.exists():
+        return ()
+    table = Table(path, ("sensor", "time_s", *names.POSITION, *names.VELOCITY, *names.COVARIANCE))
+    time, covariance = table.numbers("time_s"), _covariance(table)
+    position, velocity = table.stack(names.POSITION), table.stack(names.VELOCITY)
+    return tuple(
+        PlatformPath(
+            sensor=key[0],
+            time_s=time[rows],
+            position_m=position[rows],
+            velocity_m_s=velocity[rows],
+            position_covariance_m2=covariance[rows],
+        )
+        for key, rows in _groups(table.text("sensor"))
+    )
+
+
+# Versions that knew bearings alone did not write these.
+_LATER_COLUMNS = ("reference", "emission")
+
+
 def _load_residuals(path: Path) -> ResidualTable:
     columns = [entry.name for entry in dataclasses.fields(ResidualTable)]
-    table = Table(path, columns)
+    table = Table(path, [name for name in columns if name not in _LATER_COLUMNS])
+    later = {
+        name: table.text(name) if name in table else np.full(table.text("kind").shape, "")
+        for name in _LATER_COLUMNS
+    }
     return ResidualTable(
+        **later,
         time_s=table.numbers("time_s"),
         sensor=table.text("sensor"),
         kind=table.text("kind"),

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from geograph.measurements import Truth
-    from geograph.results.data import ErrorCurve, Results
+    from geograph.results.data import ErrorCurve, PlatformPath, Results
     from geograph.track import Track
 
 
@@ -41,7 +41,8 @@ def check_target(folder: Path) -> None:
         raise InputError(f"{above} is a file; expected a folder to write into", path=folder)
     check_replaceable(folder)
     present = sorted(entry.name for entry in folder.iterdir()) if folder.exists() else []
-    strangers = [n for n in present if n not in names.TABLES and n not in names.PICTURES]
+    own = {*names.TABLES, *names.PICTURES, names.PLATFORM_PICTURE}
+    strangers = [name for name in present if name not in own]
     if strangers:
         raise InputError(
             f"holds {strangers[0]!r}, which results of one recording do not have and which would "
@@ -86,6 +87,8 @@ def write_files(results: Results, folder: Path) -> None:
     residuals["rejected"] = [str(value).lower() for value in residuals["rejected"]]
     write_csv(folder / names.RESIDUALS, residuals)
     write_csv(folder / names.PLACES, _place_columns(results))
+    if results.platforms:
+        write_csv(folder / names.PLATFORMS, _platform_columns(results.platforms))
     if results.curves:
         write_csv(folder / names.CURVES, _curve_columns(results.curves))
     if results.truth is not None:
@@ -137,8 +140,7 @@ def _track_columns(results: Results) -> dict[str, Sequence[Any]]:
         columns |= _spread(names.VELOCITY, results.velocity_m_s)
     if results.acceleration_m_s2 is not None:
         columns |= _spread(names.ACCELERATION, results.acceleration_m_s2)
-    for name, (row, column) in names.COVARIANCE.items():
-        columns[name] = results.position_covariance_m2[:, row, column].tolist()
+    columns |= _covariance_columns(results.position_covariance_m2)
     geodetic = results.geodetic()
     if geodetic is not None:
         columns |= _spread(names.GEODETIC, geodetic)
@@ -147,6 +149,27 @@ def _track_columns(results: Results) -> dict[str, Sequence[Any]]:
     if speed is not None and sigma is not None:
         columns |= dict(zip(names.SPEED, (speed.tolist(), sigma.tolist()), strict=True))
     return columns
+
+
+def _covariance_columns(covariance: NDArray[np.float64]) -> dict[str, Sequence[Any]]:
+    return {
+        name: covariance[:, row, column].tolist()
+        for name, (row, column) in names.COVARIANCE.items()
+    }
+
+
+def _platform_columns(platforms: Sequence[PlatformPath]) -> dict[str, Sequence[Any]]:
+    def joined(name: str) -> NDArray[np.float64]:
+        return np.concatenate([getattr(platform, name) for platform in platforms])
+
+    repeats = [platform.time_s.size for platform in platforms]
+    return {
+        "sensor": np.repeat([platform.sensor for platform in platforms], repeats).tolist(),
+        "time_s": joined("time_s").tolist(),
+        **_spread(names.POSITION, joined("position_m")),
+        **_spread(names.VELOCITY, joined("velocity_m_s")),
+        **_covariance_columns(joined("position_covariance_m2")),
+    }
 
 
 def _place_columns(results: Results) -> dict[str, Sequence[Any]]:

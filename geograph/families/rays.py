@@ -1,0 +1,409 @@
+"""What arrivals and differences have in common: sensors at the ends of signals, with their errors.
+
+Every measurement here has one row, and one or two ends. The chains of an end's sensor are read in
+the interval of the emission, so that all derivatives of a measurement are by the same two knots.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geograph.factors.arrival import SensorMotion, trace
+from geograph.families.base import Evaluation, Report, SensorFamily, Values
+from geograph.frames import frame_spin_rad_s
+from geograph.states import POSITION, SPEED, VELOCITY, ChainShare, SensorErrorTerms
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from geograph.common import Common
+    from geograph.factors.arrival import Ray
+    from geograph.frames import SensorGeometry
+    from geograph.path import Path, PathState, Place
+    from geograph.states import SensorStates
+
+# Times of emission are found anew, with the chains read in another interval, at most so often.
+_INTERVAL_ROUNDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """What the families of a recording share.
+
+    Attributes
+    ----------
+    geometry
+        Poses of the sensors.
+    states
+        Sensor-error states of the problem.
+    chain_scale
+        Shape (w,): scales of the chains, SI.
+    speed_m_s
+        Speed of propagation, finite.
+    """
+
+    geometry: SensorGeometry
+    states: SensorStates
+    chain_scale: NDArray[np.float64]
+    speed_m_s: float
+
+    @property
+    def spin_rad_s(self) -> float:
+        """Angular speed of the frame."""
+        return frame_spin_rad_s(self.geometry.frame)
+
+
+class End:
+    """The sensors at one end of n signals.
+
+    Parameters
+    ----------
+    world
+        Sensors and their states.
+    sensor
+        Shape (n,): index of each signal's sensor.
+    time_s
+        Shape (n,): time tags, at which drifts are read.
+    """
+
+    def __init__(
+        self, world: World, sensor: NDArray[np.int64], time_s: NDArray[np.float64]
+    ) -> None:
+        self.world = world
+        self.sensor = sensor
+        self.time_s = time_s
+        self.terms = SensorErrorTerms(world.states, sensor, time_s, world.chain_scale)
+        # When walks and platforms are read; brought up to date between solves.
+        self.read_s = time_s.copy()
+        # Sensors that stand still are looked up once.
+        still = not world.geometry.moves(sensor)
+        self._still = world.geometry.motion(sensor, time_s) if still else None
+
+    def share(self, path: Path, interval: NDArray[np.int64]) -> ChainShare:
+        """Return how the chains are read in given intervals."""
+        return self.terms.share(path.knots_s, interval, self.read_s)
+
+    def errors(
+        self, path: Path, values: Values, interval: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Return the errors of all channels, shape (n, CHANNELS), SI units."""
+        if not self.terms.chains.row.size:
+            return self.terms.errors(values.constants)
+        return self.terms.errors(values.constants, values.walks, self.share(path, interval))
+
+    def motion(self, received_s: NDArray[np.float64], errors: NDArray[np.float64]) -> SensorMotion:
+        """Return where the sensors are at reception, their estimated errors added."""
+        found = self._still or self.world.geometry.motion(self.sensor, received_s)
+        return SensorMotion(
+            found.position_m + errors[:, POSITION : POSITION + 3],
+            found.velocity_m_s + errors[:, VELOCITY : VELOCITY + 3],
+            found.acceleration_m_s2,
+        )
+
+    def rays(
+        self,
+        position_m: NDArray[np.float64],
+        velocity_m_s: NDArray[np.float64],
+        emitted_s: NDArray[np.float64],
+        errors: NDArray[np.float64],
+        light_time_s: NDArray[np.float64] | None,
+    ) -> Ray:
+        """Return the signals from the object to the sensors; see :func:`trace`."""
+        speed = self.world.speed_m_s + (float(errors[0, SPEED]) if errors.shape[0] else 0.0)
+        return trace(
+            position_m,
+            velocity_m_s,
+            lambda delay: self.motion(emitted_s + delay, errors),
+            speed_m_s=speed,
+            spin_rad_s=self.world.spin_rad_s,
+            light_time_s=light_time_s,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """All signals of a family for one point.
+
+    Attributes
+    ----------
+    emitted_s
+        Shape (n,): times of emission.
+    place
+        Where these lie among the knots.
+    rays
+        From the object to the sensors of every end.
+    errors
+        Of the sensors of every end, each shape (n, CHANNELS).
+    """
+
+    emitted_s: NDArray[np.float64]
+    place: Place
+    rays: tuple[Ray, ...]
+    errors: tuple[NDArray[np.float64], ...]
+
+
+class RayFamily(SensorFamily):
+    """Measurements of signals that were emitted together and received by sensors.
+
+    Parameters
+    ----------
+    world
+        Sensors and their states.
+    ends
+        One end, or sensor and reference.
+    measured, sigma
+        Shape (n,): in the family's unit.
+    sigma_common
+        Shape (n,): the part of sigma that rows of one group share.
+    group
+        Shape (n,), growing: rows of the same emission.
+    weight
+        Shape (n,): weights of the information, for correlated errors.
+    position_noise_m
+        White position errors of every end's sensors at each measurement, each shape (n,).
+    line
+        Shape (n,): lines in the file.
+    """
+
+    rows = 1
+    unit: str
+    kind: str
+
+    def __init__(
+        self,
+        world: World,
+        ends: Sequence[End],
+        *,
+        measured: NDArray[np.float64],
+        sigma: NDArray[np.float64],
+        sigma_common: NDArray[np.float64],
+        group: NDArray[np.int64],
+        weight: NDArray[np.float64],
+        position_noise_m: Sequence[NDArray[np.float64]],
+        line: NDArray[np.int64],
+    ) -> None:
+        self.world = world
+        self.ends = tuple(ends)
+        self.measured = measured
+        self.sigma = sigma
+        self.sigma_common = sigma_common
+        self.group = group
+        self.weight = weight
+        self.position_noise_m = tuple(position_noise_m)
+        self.line = line
+        self.time_s = ends[-1].time_s
+        self.sensor = ends[0].sensor
+        self.reference = ends[1].sensor if len(ends) > 1 else None
+        self.start = np.flatnonzero(np.diff(group, prepend=-1))
+        self.row_counts = np.ones(measured.size, dtype=np.int64)
+        self.row_count = measured.size
+        self.path_noise_m = np.zeros(measured.size)
+        self.path_noise_m_s = np.zeros(measured.size)
+        self._interval: tuple[Path, NDArray[np.int64]] | None = None
+        self._emitted: NDArray[np.float64] | None = None
+        self._delays: list[NDArray[np.float64] | None] = [None for _ in ends]
+        self._whiten([np.zeros(measured.size)] * (len(self.ends) + 1))
+
+    def _whiten(self, extra: Sequence[NDArray[np.float64]]) -> None:
+        """Set the reciprocals of the sigmas, extra noise of path and ends included.
+
+        Parameters
+        ----------
+        extra
+            Sigma that the path's deviation adds, and the position noise of every end; that of a
+            reference is common to its rows.
+        """
+        shared = self.sigma_common**2
+        if len(extra) > 2:
+            shared = shared + extra[2] ** 2
+        total = self.sigma**2 + sum(part**2 for part in extra)
+        root = np.sqrt(self.weight)
+        self._white = root / np.sqrt(total - shared)
+        self._shared = self._white * np.sqrt(shared)
+
+    def _intervals(self, path: Path, values: Values) -> NDArray[np.int64]:
+        """Return the intervals that the emissions were last found in."""
+        if self._interval is not None and self._interval[0] is path:
+            return self._interval[1]
+        del values
+        return path.locate(self.time_s).interval
+
+    def solve(self, path: Path, state: PathState, values: Values) -> Solved:
+        """Find the times of emission and all signals."""
+        interval = self._intervals(path, values)
+        for _ in range(_INTERVAL_ROUNDS):
+            errors = tuple(end.errors(path, values, interval) for end in self.ends)
+            emitted = self._emission_times(path, state, errors)
+            place = path.locate(emitted)
+            settled = not values.walks.size or np.array_equal(place.interval, interval)
+            interval = place.interval
+            if settled:
+                break
+        self._interval = (path, interval)
+        position, velocity = state.position_velocity(place)
+        rays = []
+        for index, (end, error) in enumerate(zip(self.ends, errors, strict=True)):
+            ray = end.rays(position, velocity, emitted, error, self._delays[index])
+            self._delays[index] = ray.light_time_s
+            rays.append(ray)
+        return Solved(emitted, place, tuple(rays), errors)
+
+    @abstractmethod
+    def _emission_times(
+        self, path: Path, state: PathState, errors: tuple[NDArray[np.float64], ...]
+    ) -> NDArray[np.float64]:
+        """Return times of emission, shape (n,), equal within each group."""
+
+    @abstractmethod
+    def _predicted_error(self, found: Solved) -> NDArray[np.float64]:
+        """Return predicted less measured, shape (n,), the sensors' errors included."""
+
+    @abstractmethod
+    def _gradients(
+        self, found: Solved, path: Path, state: PathState
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, list[NDArray[np.float64]]]:
+        """Return derivatives by position and velocity, (n, 3), and by every end's channels.
+
+        Those by channels have the shape (n, CHANNELS).
+        """
+
+    @abstractmethod
+    def _common(self, found: Solved) -> Common | None:
+        """Return the unknowns that rows share."""
+
+    def evaluate(
+        self, path: Path, state: PathState, values: Values, *, jacobian: bool
+    ) -> Evaluation:
+        """Evaluate all measurements at one point; see :class:`Evaluation`."""
+        found = self.solve(path, state, values)
+        residual = (self._predicted_error(found) * self._white)[:, None]
+        interval = found.place.interval
+        empty = np.empty((0, 1))
+        by_knots = None
+        by_ends: list[NDArray[np.float64]] = []
+        if jacobian:
+            white = self._white[:, None]
+            by_position, by_velocity, by_ends = self._gradients(found, path, state)
+            by_ends = [by_end * white for by_end in by_ends]
+            by_knots = state.chain(
+                found.place,
+                (by_position * white)[:, None, :],
+                None if by_velocity is None else (by_velocity * white)[:, None, :],
+            )
+        constants, chains, shares = [], [], []
+        for index, end in enumerate(self.ends):
+            entry = end.terms.constants
+            by = by_ends[index][entry.row, entry.channel] * entry.basis if jacobian else entry.basis
+            constants.append((entry.row, entry.column, by))
+            share = end.share(path, interval)
+            entry = end.terms.chains
+            by = by_ends[index][entry.row, entry.channel] * entry.basis if jacobian else entry.basis
+            chains.append((entry.row, entry.column, by))
+            shares.append((share.before, share.after))
+        row, column, by_constants = _merged(constants)
+        chain_row, chain_column, by_chains = (
+            np.concatenate(parts) for parts in zip(*chains, strict=True)
+        )
+        before, after = (np.concatenate(parts) for parts in zip(*shares, strict=True))
+        return Evaluation(
+            residual,
+            interval,
+            by_knots,
+            row,
+            column,
+            by_constants[:, None] if jacobian else empty,
+            chain_row,
+            chain_column,
+            before,
+            after,
+            by_chains[:, None] if jacobian else empty,
+            self._common(found),
+        )
+
+    def refresh(self, path: Path, values: Values) -> None:
+        """Take position noise and the times at which chains are read from an estimate."""
+        state = path.at_state(values.path, jacobian=True)
+        found = self.solve(path, state, values)
+        for end, ray in zip(self.ends, found.rays, strict=True):
+            end.read_s = found.emitted_s + ray.light_time_s
+        by_position, by_velocity, by_ends = self._gradients(found, path, state)
+        between = np.linalg.norm(by_position, axis=1) * self.path_noise_m
+        if by_velocity is not None:
+            added = np.linalg.norm(by_velocity, axis=1) * self.path_noise_m_s
+            between = np.hypot(between, added)
+        extra = [between]
+        for by_end, noise in zip(by_ends, self.position_noise_m, strict=True):
+            length = np.linalg.norm(by_end[:, POSITION : POSITION + 3], axis=1)
+            extra.append(length * noise)
+        self._whiten(extra)
+
+    def squares(self, found: Evaluation) -> NDArray[np.float64]:
+        """Return squared whitened residuals, shape (n,), as large as if nothing was shared.
+
+        What an unknown of the group takes up makes residuals smaller; weights for correlation make
+        errors common, not small.
+        """
+        left = self._left(found)
+        return np.asarray(found.residual[:, 0] ** 2 / (self.weight * left))
+
+    @staticmethod
+    def _left(found: Evaluation) -> NDArray[np.float64]:
+        """Return the share of each residual's variance that is left, shape (n,)."""
+        if found.common is None:
+            return np.ones(found.residual.shape[0])
+        return np.asarray(np.maximum(1.0 - found.common.leverage(), 1e-6))
+
+    def emissions(
+        self, path: Path, values: Values
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return distances from the sensors (m) and times of emission (s), each shape (n,)."""
+        found = self.solve(path, path.at_state(values.path, jacobian=False), values)
+        return found.rays[0].distance_m, found.emitted_s
+
+    def resolution_m(
+        self, distance_m: NDArray[np.float64], speed_m_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return about how well each measurement alone locates the object, shape (n,), metres."""
+        del distance_m, speed_m_s
+        return self.sigma * self.world.speed_m_s
+
+    def clock_resolution_s(
+        self, distance_m: NDArray[np.float64], speed_m_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return how well each measurement resolves its sensor's clock, shape (n,), seconds."""
+        del distance_m, speed_m_s
+        return self.sigma
+
+    def report(self, path: Path, values: Values, found: Evaluation) -> Report:
+        """Return what was measured and predicted; see :class:`Report`."""
+        del path, values
+        error = found.residual[:, 0] / self._white
+        root = np.sqrt(self.weight * self._left(found))
+        return Report(
+            kinds=(self.kind,),
+            units=(self.unit,),
+            exists=np.ones((len(self), 1), dtype=bool),
+            measured=self.measured[:, None],
+            predicted=(self.measured + error)[:, None],
+            sigma=np.sqrt(self.weight / self._white**2)[:, None],
+            normalised=-found.residual / root[:, None],
+        )
+
+
+def _merged(
+    parts: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Join entries of several ends, adding up those of the same row and column."""
+    if len(parts) == 1:
+        return parts[0]
+    row, column, value = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    width = int(column.max(initial=0)) + 1
+    place, inverse = np.unique(row * width + column, return_inverse=True)
+    total = np.bincount(inverse, value, minlength=place.size)
+    return place // width, place % width, np.asarray(total, dtype=np.float64)
