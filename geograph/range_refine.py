@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from geograph.range_data import RangeData
 
-# Rounds with a scale of their own each, iterations within one, and relative gain that ends it.
-_ROUNDS = 4
+# Last rounds, with a scale of their own each, iterations within one, relative gain that ends it.
+_ROUNDS = 2
 _ITERATIONS = 12
 _ENOUGH = 1e-4
 _MOST_DAMPING = 1e8
@@ -126,17 +126,43 @@ def refined(evaluator: Evaluator, spline: BSpline) -> Attempt:
         Where to start.
     """
     found = evaluate(evaluator, spline, jacobian=True)
-    for number in range(_ROUNDS):
-        wide = number < len(_SOFT_HEIGHT)
-        loss = _Loss(
-            max(robust_scale(found.value), LEAST_SCALE) * (1.0 if wide else 3.0),
-            wide,
-            _SOFT_HEIGHT[number] if wide else 0.0,
-        )
+    return finished(evaluator, *_drawn_in(evaluator, spline, found))
+
+
+def drawn_in(evaluator: Evaluator, spline: BSpline) -> tuple[BSpline, Residuals]:
+    """Return the first half of :func:`refined`: a path drawn in by all rows, and its residuals.
+
+    Parameters
+    ----------
+    evaluator, spline
+        As of :func:`refined`.
+    """
+    return _drawn_in(evaluator, spline, evaluate(evaluator, spline, jacobian=True))
+
+
+def _drawn_in(evaluator: Evaluator, spline: BSpline, found: Residuals) -> tuple[BSpline, Residuals]:
+    for soft in _SOFT_HEIGHT:
+        loss = _Loss(max(robust_scale(found.value), LEAST_SCALE), True, soft)
+        spline, found = _minimised(evaluator, spline, found, loss)
+    return spline, found
+
+
+def finished(evaluator: Evaluator, spline: BSpline, found: Residuals) -> Attempt:
+    """Return the second half of :func:`refined`: the path that is best but for a few wrong rows.
+
+    Parameters
+    ----------
+    evaluator
+        Of the data.
+    spline, found
+        From :func:`drawn_in`.
+    """
+    for _ in range(_ROUNDS):
+        loss = _Loss(3.0 * max(robust_scale(found.value), LEAST_SCALE), False, 0.0)
         before = spline
         spline, found = _minimised(evaluator, spline, found, loss)
         moved = np.abs(spline.c - before.c).max()
-        if number >= len(_SOFT_HEIGHT) and moved <= 1e-6 * float(np.median(found.distance_m)):
+        if moved <= 1e-6 * float(np.median(found.distance_m)):
             break
     return _attempt(spline, found)
 
@@ -217,7 +243,7 @@ def _spread(data: RangeData) -> float:
 def _height_rows(
     data: RangeData, spline: BSpline, soft_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return whitened misfits of known heights, their directions, and the spline's basis there."""
+    """Return whitened misfits of known heights, their directions, and their times."""
     heights = data.heights
     inside = np.clip(heights.time_s, spline.t[0], spline.t[-1])
     height, up = altitude(np.asarray(spline(inside)), data.frame)
@@ -225,8 +251,7 @@ def _height_rows(
     value = (height - heights.value) / sigma
     # Where the ellipsoid has no height, at the Earth's centre, a start is not drawn anywhere.
     good = np.isfinite(value) & np.isfinite(up).all(axis=1)
-    basis = BSpline.design_matrix(inside[good], spline.t, spline.k).toarray()
-    return value[good], (up / sigma[:, None])[good], basis
+    return value[good], (up / sigma[:, None])[good], inside[good]
 
 
 def too_far(data: RangeData, spline: BSpline) -> bool:
@@ -277,7 +302,8 @@ def _normal(
     information = design.T @ (weight[:, None] * design)
     pull = design.T @ (weight * found.value)
     if data.heights.value.size:
-        value, up, at = _height_rows(data, spline, loss.soft * _range(found))
+        value, up, time = _height_rows(data, spline, loss.soft * _range(found))
+        at = BSpline.design_matrix(time, spline.t, spline.k).toarray()
         extra = np.einsum("nc,nb->nbc", up, at).reshape(value.size, -1)
         information += extra.T @ extra
         pull += extra.T @ value

@@ -19,6 +19,8 @@ from geograph.range_refine import constant_spline, evaluate, knots_of
 from geograph.range_residuals import Evaluator, group_medians
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from geograph.closed_form import Fix
@@ -50,8 +52,11 @@ class _TimedFix:
     chi2: float
 
 
-def seeds(data: RangeData, *, static: bool, brief: bool = False) -> list[BSpline]:
-    """Return paths to refine: rough, and more than are needed.
+def seeds(data: RangeData, *, static: bool, brief: bool = False) -> Iterator[list[BSpline]]:
+    """Yield paths to refine: rough, and more than are needed.
+
+    The second list is for what the first does not explain. A root that the equations of all sets of
+    an object at rest do not have is not there; of a moving one, single sets may know another.
 
     Parameters
     ----------
@@ -63,10 +68,15 @@ def seeds(data: RangeData, *, static: bool, brief: bool = False) -> list[BSpline
         Whether a few will do.
     """
     if brief:
-        return grid_seeds(data, _BRIEF_SEEDS) + fix_seeds(data, _BRIEF_SETS, static=static)
+        yield grid_seeds(data, _BRIEF_SEEDS) + fix_seeds(data, _BRIEF_SETS, static=static)
+        return
+    found = multi_set_seeds(data, static=static)
+    grid = grid_seeds(data, _GRID_SEEDS)
+    if static and found:
+        yield found + grid[:_BRIEF_SEEDS]
+        found, grid = [], grid[_BRIEF_SEEDS:]
     most = _SETS_AT_HEIGHT if data.heights.value.size and data.frame == "ecef" else _SETS
-    found = grid_seeds(data, _GRID_SEEDS) + multi_set_seeds(data, static=static)
-    return found + fix_seeds(data, most, static=static)
+    yield found + grid + fix_seeds(data, most, static=static)
 
 
 def grid_seeds(data: RangeData, most: int) -> list[BSpline]:

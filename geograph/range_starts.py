@@ -19,7 +19,16 @@ from geograph.factors.constraints import altitude
 from geograph.initialise import PathFit
 from geograph.lines import criteria, robust_scale
 from geograph.range_data import range_data
-from geograph.range_refine import constant_spline, fitted, refined, reshaped, state_of, too_far
+from geograph.range_refine import (
+    constant_spline,
+    drawn_in,
+    finished,
+    fitted,
+    refined,
+    reshaped,
+    state_of,
+    too_far,
+)
 from geograph.range_residuals import Evaluator
 from geograph.range_seeds import seeds
 
@@ -29,6 +38,7 @@ if TYPE_CHECKING:
     from geograph.frames import SensorGeometry
     from geograph.lines import Attempt
     from geograph.range_data import RangeData
+    from geograph.range_residuals import Residuals
     from geograph.recording import Recording
 
 # Rows that starts are fitted to at last, at first, and with a sensor left out.
@@ -49,13 +59,15 @@ _WORSE = 3
 # Residuals are far outside where their robust scale, or this share of them, is beyond so many
 # sigmas; at most so many sensors are then left out in turn.
 _WIDE_SCALE = 3.0
+_NOISE_SCALE = 1.5
 _FAR_SIGMAS = 6.0
 _FAR_SHARE = 0.05
 _MOST_LEFT_OUT = 12
 _FEWEST_SENSORS = 3
 
-# Paths closer than this share of the distance are one.
+# Paths closer than this share of the distance are one, at last and halfway there.
 _SAME = 1e-3
+_NEAR = 1e-2
 
 # An object deeper than the deepest sea is the mirror image of one above the ground.
 _DEEPEST_M = -12e3
@@ -105,13 +117,26 @@ def range_fits(recording: Recording, geometry: SensorGeometry, *, static: bool) 
 def _candidates(data: RangeData, *, static: bool, brief: bool = False) -> list[_Candidate]:
     """Return every seed, refined; the object stands still or moves evenly."""
     every, evaluator = Evaluator(data), Evaluator(data.thinned(_BRIEF_ROWS if brief else _FEW_ROWS))
+    found: list[_Candidate] = []
+    for part in seeds(data, static=static, brief=brief):
+        rough = [one for one in part if np.isfinite(one.c).all()]
+        # A height that is known may itself be that far away.
+        rough = [one for one in rough if not too_far(data, one)] or rough[:1]
+        fits = _refined(evaluator, rough, static=static)
+        found += [_Candidate(fit, every) for fit in fits]
+        if any(_explained(fit) for fit in fits):
+            break
+    if not found:
+        middle = constant_spline(data.sensor_places().mean(axis=0), data.times())
+        found = [_Candidate(fit, every) for fit in _refined(evaluator, [middle], static=static)]
+    return found
+
+
+def _refined(evaluator: Evaluator, rough: list[BSpline], *, static: bool) -> list[Attempt]:
+    """Return seeds refined, each place that they lead to once."""
+    data = evaluator.data
     degree = 0 if static or evaluator.events < 2 else 1
-    rough = [one for one in seeds(data, static=static, brief=brief) if np.isfinite(one.c).all()]
-    # A height that is known may itself be that far away.
-    rough = [one for one in rough if not too_far(data, one)] or rough[:1]
-    if not rough:
-        rough = [constant_spline(data.sensor_places().mean(axis=0), data.times())]
-    found = []
+    drawn = []
     for seed in rough:
         time = data.times() - _light_time(data, seed)
         segments = len(seed.c) - seed.k
@@ -119,8 +144,23 @@ def _candidates(data: RangeData, *, static: bool, brief: bool = False) -> list[_
             path = reshaped(seed, time, seed.k, segments)
         else:
             path = reshaped(seed, time, degree, 1)
-        found.append(_Candidate(refined(evaluator, path), every))
-    return found
+        drawn.append(drawn_in(evaluator, path))
+    # Most seeds are drawn to the same few places by now; from each the end is the same.
+    drawn.sort(key=lambda one: float(np.sqrt(1.0 + one[1].value ** 2).sum()))
+    kept: list[tuple[BSpline, Residuals]] = []
+    for spline, left in drawn:
+        size = max(float(np.median(left.distance_m)), 1e-9) if left.distance_m.size else 1e-9
+        if all(_gap(spline, other) > _NEAR * size for other, _ in kept):
+            kept.append((spline, left))
+    return [finished(evaluator, *one) for one in kept]
+
+
+def _gap(one: BSpline, other: BSpline) -> float:
+    """Return the greatest difference of two paths' coordinates along the first, metres."""
+    if len(one.c) != len(other.c):
+        return np.inf
+    time = np.linspace(one.t[0], one.t[-1], 9)
+    return float(np.abs(state_of(one, time)[0] - state_of(other, time)[0]).max())
 
 
 def _light_time(data: RangeData, spline: BSpline) -> float:
@@ -151,6 +191,11 @@ def _without_each(data: RangeData, *, static: bool) -> list[_Candidate]:
         evaluator = Evaluator(part)
         found += _distinct(_candidates(part, static=static, brief=True), evaluator)[:2]
     return found
+
+
+def _explained(fit: Attempt) -> bool:
+    """Tell whether a fit leaves hardly more than the noise."""
+    return robust_scale(fit.normalised) <= _NOISE_SCALE and not _far_outside(fit)
 
 
 def _far_outside(fit: Attempt) -> bool:
@@ -187,13 +232,8 @@ def _distinct(found: list[_Candidate], whole: Evaluator) -> list[_Candidate]:
     by_spline = {id(candidate.fit.spline): candidate for candidate in found}
     kept: list[tuple[Attempt, _Candidate]] = []
     for _, fit in _ranked([candidate.fit.spline for candidate in found], whole):
-        time = np.linspace(fit.spline.t[0], fit.spline.t[-1], 9)
-        place = state_of(fit.spline, time)[0]
-        apart = [
-            np.abs(place - state_of(other.spline, time)[0]).max() > _SAME * max(fit.range_m, 1e-9)
-            for other, _ in kept
-        ]
-        if all(apart):
+        size = _SAME * max(fit.range_m, 1e-9)
+        if all(_gap(fit.spline, other.spline) > size for other, _ in kept):
             kept.append((fit, by_spline[id(fit.spline)]))
     return [candidate for _, candidate in kept]
 
