@@ -240,8 +240,16 @@ def arrival_times(variant: MovingSensors) -> NDArray[np.float64]:
     return arrival
 
 
-def _draw(variant: MovingSensors, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return one run's errors: times (sets, all sensors), positions (sets, all sensors, 2)."""
+def draw(variant: MovingSensors, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return one run's errors: times (sets, all sensors), positions (sets, all sensors, 2).
+
+    Parameters
+    ----------
+    variant
+        One of :data:`VARIANTS`, or another.
+    seed
+        A whole number of at least 0.
+    """
     sequence = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(variant.name.encode()),))
     times, positions = (np.random.default_rng(child) for child in sequence.spawn(2))
     shape = (variant.sets, len(variant.group_m) + len(variant.second_group_m))
@@ -267,7 +275,7 @@ def simulate(variant: MovingSensors, seeds: Sequence[int]) -> Runs:
     seeds
         Whole numbers of at least 0.
     """
-    errors = [_draw(variant, seed) for seed in seeds]
+    errors = [draw(variant, seed) for seed in seeds]
     toa = arrival_times(variant) + np.array([error[0] for error in errors])
     reported = _reported(variant, np.array([error[1] for error in errors]))
     heard = variant.heard_by
@@ -293,7 +301,7 @@ def recordings(variant: MovingSensors, seeds: Sequence[int]) -> Iterator[Recordi
     heard = variant.heard_by
     emission = np.repeat(np.arange(variant.sets), heard.shape[1])
     for seed in seeds:
-        time_error, position_error = _draw(variant, seed)
+        time_error, position_error = draw(variant, seed)
         toa = (exact + time_error)[emission, heard.ravel()]
         yield Recording(
             name=f"{variant.name}-{seed}",

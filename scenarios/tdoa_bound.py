@@ -80,8 +80,62 @@ def _without_mean(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(rows - rows.mean(axis=1, keepdims=True))
 
 
-def _straight_platforms(variant: MovingSensors, size: int) -> NDArray[np.float64]:
-    """Return the information of the emitter and then of each sensor's place and velocity."""
+def efficient_errors(
+    variant: MovingSensors, time_error_s: NDArray[np.float64], position_error_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the errors, to first order in the noise, of an estimator that meets the bound.
+
+    The mean square of these errors is the bound exactly, so that how much worse an estimator is can
+    be told from the same noise, free of how the noise of some runs happened to be drawn.
+
+    Parameters
+    ----------
+    variant
+        The scenario.
+    time_error_s, position_error_m
+        Shapes (runs, sets, all sensors) and (..., 2): noise of arrival times and positions.
+
+    Returns
+    -------
+    Shape (runs, 2): of the emitter's place at the last set, metres.
+    """
+    size = 4 if variant.moving else 2
+    sets = np.arange(variant.sets)[:, None]
+    direction = _directions(variant)
+    noise = SPEED_OF_LIGHT_M_S * time_error_s[:, sets, variant.heard_by]
+    sigma = SPEED_OF_LIGHT_M_S * variant.sigma_s
+    if variant.straight_platforms:
+        rows = _platform_rows(variant, size)
+        # Reported less true positions are the noise of the fixes.
+        fixes = position_error_m / variant.position_noise_m
+        pull = np.einsum("kna,rkn->ra", rows, noise / sigma)
+        design = _fix_design(variant)
+        for sensor in range(position_error_m.shape[2]):
+            for axis in range(2):
+                at = size + 4 * sensor + np.array([axis, axis + 2])
+                pull[:, at] += fixes[:, :, sensor, axis] @ design
+        information = _straight_platforms(variant, size)
+    else:
+        # A sensor that is said to be nearer to the emitter hears it late.
+        moved = position_error_m[:, sets, variant.heard_by]
+        noise = noise + np.einsum("knc,rknc->rkn", direction, moved)
+        sigma = float(np.hypot(sigma, variant.position_noise_m))
+        rows = _without_mean(_emitter_rows(variant, direction, size)) / sigma
+        pull = np.einsum("kna,rkn->ra", rows, noise / sigma)
+        information = np.einsum("kna,knb->ab", rows, rows)
+    scale = 1.0 / np.sqrt(np.diag(information))
+    step = np.linalg.solve(scale[:, None] * information * scale, (pull * scale).T).T * scale
+    return np.asarray(step[:, :2])
+
+
+def _fix_design(variant: MovingSensors) -> NDArray[np.float64]:
+    """Return whitened derivatives of one coordinate's fixes by place and velocity, (sets, 2)."""
+    time = variant.time_s
+    return np.stack([np.ones_like(time), time], axis=-1) / variant.position_noise_m
+
+
+def _platform_rows(variant: MovingSensors, size: int) -> NDArray[np.float64]:
+    """Return whitened derivatives by the emitter and by each sensor's place and velocity."""
     time, heard = variant.time_s, variant.heard_by
     direction = _directions(variant)
     sensors = len(variant.group_m) + len(variant.second_group_m)
@@ -93,11 +147,15 @@ def _straight_platforms(variant: MovingSensors, size: int) -> NDArray[np.float64
         for axis in range(2):
             rows[sets[:, 0], column, first + axis] = -direction[:, column, axis]
             rows[sets[:, 0], column, first + 2 + axis] = -direction[:, column, axis] * time
-    rows = _without_mean(rows) / (SPEED_OF_LIGHT_M_S * variant.sigma_s)
+    return _without_mean(rows) / (SPEED_OF_LIGHT_M_S * variant.sigma_s)
+
+
+def _straight_platforms(variant: MovingSensors, size: int) -> NDArray[np.float64]:
+    """Return the information of the emitter and then of each sensor's place and velocity."""
+    rows, design = _platform_rows(variant, size), _fix_design(variant)
     information = np.einsum("kna,knb->ab", rows, rows)
-    fixes = np.stack([np.ones_like(time), time], axis=-1) / variant.position_noise_m
-    for sensor in range(sensors):
+    for sensor in range(len(variant.group_m) + len(variant.second_group_m)):
         for axis in range(2):
             at = size + 4 * sensor + np.array([axis, axis + 2])
-            information[np.ix_(at, at)] += fixes.T @ fixes
+            information[np.ix_(at, at)] += design.T @ design
     return np.asarray(information)
