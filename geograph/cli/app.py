@@ -9,8 +9,16 @@ from typing import Annotated, Any
 import typer
 
 from geograph.cli.bound_command import bound
-
-_PANEL = "Settings that override the recording's own"
+from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotations
+    Elimination,
+    Loss,
+    MaxIterations,
+    Motion,
+    Plots,
+    ProcessNoise,
+    ProcessNoiseAlong,
+    Spacing,
+)
 
 app = typer.Typer(
     name="geograph",
@@ -60,59 +68,20 @@ def smooth(
             help="Folder for the results (replaced if it has some).",
         ),
     ],
-    motion: Annotated[
-        str | None,
-        typer.Option(
-            help="static, constant-position, constant-velocity, constant-acceleration, ballistic "
-            "or orbital.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None,
-    process_noise: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NOISE",
-            help="Square root of the spectral density of the motion's noise, SI; one number, three "
-            "(x,y,z), or auto.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None,
-    process_noise_along: Annotated[
-        float | None,
-        typer.Option(
-            metavar="NOISE",
-            help="The same along the velocity; --process-noise is then that across it.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None,
-    spacing: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Time between knots.", rich_help_panel=_PANEL),
-    ] = None,
-    loss: Annotated[
-        str | None,
-        typer.Option(
-            help="auto, none, huber, cauchy, geman-mcclure or gnc.", rich_help_panel=_PANEL
-        ),
-    ] = None,
-    max_iterations: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Limit of iterations of one solve.", rich_help_panel=_PANEL),
-    ] = None,
-    elimination: Annotated[
-        str | None,
-        typer.Option(
-            help="Who factorises the linear systems: structured (our own) or gtsam.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None,
+    motion: Motion = None,
+    process_noise: ProcessNoise = None,
+    process_noise_along: ProcessNoiseAlong = None,
+    spacing: Spacing = None,
+    loss: Loss = None,
+    max_iterations: MaxIterations = None,
+    elimination: Elimination = None,
     jobs: Annotated[
         int | None,
         typer.Option(
             metavar="N", min=1, help="Processes for many recordings; default: one for each core."
         ),
     ] = None,
-    plots: Annotated[bool, typer.Option("--plots/--no-plots", help="Draw pictures.")] = True,
+    plots: Plots = True,
 ) -> None:
     """Smooth recordings: path, sensor errors, residuals, pictures.
 

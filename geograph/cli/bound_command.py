@@ -8,7 +8,15 @@ from typing import Annotated
 
 import typer
 
-_SETTINGS = "Settings that override the recording's own"
+from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotations
+    Elimination,
+    Motion,
+    Plots,
+    ProcessNoise,
+    ProcessNoiseAlong,
+    Spacing,
+)
+
 _SIGNAL = "Signal, in place of the sigmas of arrivals and differences (all three together)"
 _MAP = "Map"
 
@@ -33,42 +41,11 @@ def bound(
             help="Folder for tables and pictures (replaced if it holds a bound).",
         ),
     ] = None,
-    motion: Annotated[
-        str | None,
-        typer.Option(
-            help="static, constant-position, constant-velocity, constant-acceleration, ballistic "
-            "or orbital.",
-            rich_help_panel=_SETTINGS,
-        ),
-    ] = None,
-    process_noise: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NOISE",
-            help="Square root of the spectral density of the motion's noise, SI; one number, three "
-            "(x,y,z), or auto: from the changes of the true path, or the estimate's.",
-            rich_help_panel=_SETTINGS,
-        ),
-    ] = None,
-    process_noise_along: Annotated[
-        float | None,
-        typer.Option(
-            metavar="NOISE",
-            help="The same along the velocity; --process-noise is then that across it.",
-            rich_help_panel=_SETTINGS,
-        ),
-    ] = None,
-    spacing: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Time between knots.", rich_help_panel=_SETTINGS),
-    ] = None,
-    elimination: Annotated[
-        str | None,
-        typer.Option(
-            help="Who factorises the linear systems: structured (our own) or gtsam.",
-            rich_help_panel=_SETTINGS,
-        ),
-    ] = None,
+    motion: Motion = None,
+    process_noise: ProcessNoise = None,
+    process_noise_along: ProcessNoiseAlong = None,
+    spacing: Spacing = None,
+    elimination: Elimination = None,
     snr_db: Annotated[
         float | None,
         typer.Option(
@@ -123,7 +100,7 @@ def bound(
         int,
         typer.Option(metavar="N", help="Cells along a side of the map.", rich_help_panel=_MAP),
     ] = 41,
-    plots: Annotated[bool, typer.Option("--plots/--no-plots", help="Draw pictures.")] = True,
+    plots: Plots = True,
 ) -> None:
     """Show how well any estimator could do: the Cramer-Rao bound of a recording's geometry.
 

@@ -1,0 +1,59 @@
+"""Options that several commands have."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+SETTINGS_PANEL = "Settings that override the recording's own"
+
+Motion = Annotated[
+    str | None,
+    typer.Option(
+        help="static, constant-position, constant-velocity, constant-acceleration, ballistic "
+        "or orbital.",
+        rich_help_panel=SETTINGS_PANEL,
+    ),
+]
+ProcessNoise = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NOISE",
+        help="Square root of the spectral density of the motion's noise, SI; one number, three "
+        "(x,y,z), or auto.",
+        rich_help_panel=SETTINGS_PANEL,
+    ),
+]
+ProcessNoiseAlong = Annotated[
+    float | None,
+    typer.Option(
+        metavar="NOISE",
+        help="The same along the velocity; --process-noise is then that across it.",
+        rich_help_panel=SETTINGS_PANEL,
+    ),
+]
+Spacing = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", help="Time between knots.", rich_help_panel=SETTINGS_PANEL),
+]
+Loss = Annotated[
+    str | None,
+    typer.Option(
+        help="auto, none, huber, cauchy, geman-mcclure or gnc.", rich_help_panel=SETTINGS_PANEL
+    ),
+]
+MaxIterations = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N", help="Limit of iterations of one solve.", rich_help_panel=SETTINGS_PANEL
+    ),
+]
+Elimination = Annotated[
+    str | None,
+    typer.Option(
+        help="Who factorises the linear systems: structured (our own) or gtsam.",
+        rich_help_panel=SETTINGS_PANEL,
+    ),
+]
+Plots = Annotated[bool, typer.Option("--plots/--no-plots", help="Draw pictures.")]
