@@ -6,6 +6,7 @@ from differences import assert_derivative
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from made_rays import WORLDS, Pair
+from scipy.optimize import brentq
 
 from geograph.constants import SPEED_OF_LIGHT_M_S
 from geograph.factors.arrival import SensorMotion, trace
@@ -23,17 +24,17 @@ SENSOR, REFERENCE = np.array([0]), np.array([1])
 
 
 def at_arrival(pair, arrived):
-    """Both rays of the emission that arrives at the reference at a time, by bisection."""
+    """Both rays of the emission that arrives at the reference at a time, by Brent's method."""
 
     def solve(point):
         # Where the vector has a time of emission, it is that of the arrival here.
         target = arrived + point[-2]
-        low, high = -0.5 * arrived - 1e-9, 0.5 * arrived + 1e-9
-        for _ in range(90):
-            middle = 0.5 * (low + high)
-            late = middle + pair.rays(point, middle).light_time_s[1] > target
-            low, high = (low, middle) if late else (middle, high)
-        ray = pair.rays(point, 0.5 * (low + high))
+        wide = 0.5 * arrived + 1e-9
+        emitted = brentq(
+            lambda time: time + pair.rays(point, time).light_time_s[1] - target, -wide, wide,
+            xtol=1e-17 * arrived,
+        )  # fmt: skip
+        ray = pair.rays(point, emitted)
         return ray.take(SENSOR), ray.take(REFERENCE)
 
     return solve
