@@ -58,8 +58,8 @@ class ArrivalPlan:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TimePlan:
-    """Differences of arrival time between pairs of receivers.
+class PairPlan:
+    """What is measured of the same signals at pairs of receivers.
 
     Parameters
     ----------
@@ -67,11 +67,9 @@ class TimePlan:
         Shape (n,), sorted, seconds.
     pairs
         Indices of (sensor, reference).
-    sigma_s
-        White noise of one arrival; a difference has the noise of both.
     shared
         Whether all differences of one emission against one reference have the noise of the
-        reference's arrival in common. Otherwise every difference is measured on its own.
+        reference's own reception in common. Otherwise every difference is measured on its own.
     kept
         Probability that a difference was measured at all.
 
@@ -84,7 +82,6 @@ class TimePlan:
 
     emission_time_s: NDArray[np.float64]
     pairs: tuple[tuple[int, int], ...]
-    sigma_s: Sigma
     shared: bool = True
     kept: float = 1.0
 
@@ -98,38 +95,32 @@ class TimePlan:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FrequencyPlan:
+class TimePlan(PairPlan):
+    """Differences of arrival time between pairs of receivers.
+
+    Parameters
+    ----------
+    sigma_s
+        White noise of one arrival; a difference has the noise of both.
+    """
+
+    sigma_s: Sigma
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrequencyPlan(PairPlan):
     """Differences of received frequency between pairs of receivers.
 
     Parameters
     ----------
-    emission_time_s, pairs, shared, kept
-        As of :class:`TimePlan`.
     carrier_hz
         Frequency that the object emits.
     sigma_hz
         White noise of one received frequency.
-
-    Raises
-    ------
-    ValueError
-        As :class:`TimePlan`.
     """
 
-    emission_time_s: NDArray[np.float64]
-    pairs: tuple[tuple[int, int], ...]
     carrier_hz: float
     sigma_hz: Sigma
-    shared: bool = True
-    kept: float = 1.0
-
-    def __post_init__(self) -> None:
-        _check_pairs(self.pairs, shared=self.shared)
-
-    @property
-    def receivers(self) -> tuple[int, ...]:
-        """Indices of all that receive, each once."""
-        return tuple(sorted({index for pair in self.pairs for index in pair}))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
