@@ -189,9 +189,16 @@ def read_path(source: Path | str) -> PathEstimate:
     InputError
         If it is neither.
     """
+    from geograph.batch import SUMMARY_TABLE
+
     source = Path(source)
     if source.is_dir() and (source / SUMMARY).exists():
         return _path_of(load(source))
+    if source.is_dir() and (source / SUMMARY_TABLE).exists():
+        raise InputError(
+            f"holds the results of several recordings; expected those of one, {source}/NAME",
+            path=source,
+        )
     file = source / TRACK if source.is_dir() else source
     fields = load_track(file)
     geodetic = GEODETIC[0] in Table(file, ())

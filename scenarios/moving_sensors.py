@@ -240,6 +240,12 @@ def arrival_times(variant: MovingSensors) -> NDArray[np.float64]:
     return arrival
 
 
+def _streams(variant: MovingSensors, seed: int) -> list[np.random.Generator]:
+    """Return the sources of one run's errors: times, positions, positions after the last set."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(variant.name.encode()),))
+    return [np.random.default_rng(child) for child in sequence.spawn(3)]
+
+
 def draw(variant: MovingSensors, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return one run's errors: times (sets, all sensors), positions (sets, all sensors, 2).
 
@@ -250,8 +256,7 @@ def draw(variant: MovingSensors, seed: int) -> tuple[NDArray[np.float64], NDArra
     seed
         A whole number of at least 0.
     """
-    sequence = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(variant.name.encode()),))
-    times, positions = (np.random.default_rng(child) for child in sequence.spawn(2))
+    times, positions, _ = _streams(variant, seed)
     shape = (variant.sets, len(variant.group_m) + len(variant.second_group_m))
     return (
         variant.sigma_s * times.standard_normal(shape),
@@ -261,8 +266,14 @@ def draw(variant: MovingSensors, seed: int) -> tuple[NDArray[np.float64], NDArra
 
 def _reported(variant: MovingSensors, noise: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return where sensors say that they were at each set, shape (..., sets, sensors, 2)."""
+    return _said(variant, variant.time_s, noise)
+
+
+def _said(
+    variant: MovingSensors, time_s: NDArray[np.float64], noise: NDArray[np.float64]
+) -> NDArray[np.float64]:
     offset = np.array([variant.common_offset_m, 0.0])
-    return np.asarray(variant.sensors_at(variant.time_s[:, None]) + offset + noise)
+    return np.asarray(variant.sensors_at(time_s[:, None]) + offset + noise)
 
 
 def simulate(variant: MovingSensors, seeds: Sequence[int]) -> Runs:
@@ -286,7 +297,9 @@ def simulate(variant: MovingSensors, seeds: Sequence[int]) -> Runs:
 def recordings(variant: MovingSensors, seeds: Sequence[int]) -> Iterator[Recording]:
     """Yield a recording for each seed: what the sensors of one run would have written down.
 
-    The frame is local. Each sensor's trajectory holds the positions that it reported at the sets.
+    The frame is local. Each sensor's trajectory holds the positions that it reported at the sets,
+    and, but for straight platforms, whose path is estimated from the fixes of the sets alone, one
+    interval later: the last set arrives after it was emitted.
     A constraint keeps the path at z = 0. Errors of sensors that the thesis leaves out of its
     models, the common offsets, have no prior here either.
 
@@ -306,7 +319,7 @@ def recordings(variant: MovingSensors, seeds: Sequence[int]) -> Iterator[Recordi
         yield Recording(
             name=f"{variant.name}-{seed}",
             frame="local",
-            sensors=_sensors(variant, _reported(variant, position_error)),
+            sensors=_sensors(variant, *_table(variant, seed, position_error)),
             arrivals=Arrivals(
                 emission=emission,
                 sensor=heard.ravel(),
@@ -330,14 +343,28 @@ def recordings(variant: MovingSensors, seeds: Sequence[int]) -> Iterator[Recordi
         )
 
 
-def _sensors(variant: MovingSensors, reported_m: NDArray[np.float64]) -> dict[str, Sensor]:
+def _table(
+    variant: MovingSensors, seed: int, position_error: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return times (k,) and reported positions (k, sensors, 2) of the sensors' trajectories."""
+    time = variant.time_s
+    if not variant.straight_platforms:
+        time = np.append(time, time[-1] + variant.interval_s)
+        more = _streams(variant, seed)[2].standard_normal((1, *position_error.shape[1:]))
+        position_error = np.concatenate([position_error, variant.position_noise_m * more])
+    return time, _said(variant, time, position_error)
+
+
+def _sensors(
+    variant: MovingSensors, time_s: NDArray[np.float64], reported_m: NDArray[np.float64]
+) -> dict[str, Sensor]:
     position = np.concatenate([reported_m, np.zeros((*reported_m.shape[:-1], 1))], axis=-1)
     errors = SensorErrors(position_noise_m=variant.position_noise_m)
     names = [f"S{index + 1}" for index in range(reported_m.shape[1])]
     return {
         name: Sensor(
             name=name,
-            trajectory=Trajectory(variant.time_s, position[:, index]),
+            trajectory=Trajectory(time_s, position[:, index]),
             axes="xyz",
             errors=errors,
             platform_process_noise=0.0 if variant.straight_platforms else None,

@@ -175,7 +175,7 @@ def test_a_map_is_written_and_summed_up(radio, tmp_path, capsys):
     flags = ["--map", "--cells", "6", "--extent-m", "60000"]
     assert main(["bound", str(radio), "-o", str(target), *flags]) == 0
     out = capsys.readouterr().out
-    assert "map for an emitter that stands still: 6 x 6 cells over 6e+04 m; horizontal" in out
+    assert "map for an emitter that stands still: 6 x 6 cells over 60 km; horizontal" in out
     columns = table(target / "bound_map.csv")
     sigma = numbers(columns["sigma_horizontal_m"])
     assert sigma.size == 36

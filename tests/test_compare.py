@@ -7,6 +7,7 @@ import pytest
 from made_track import make_track
 
 from geograph import results
+from geograph.cli.report import comparison_text
 from geograph.compare import PathEstimate, compare, read_path, read_truth
 from geograph.errors import InputError
 from geograph.geodesy import enu_axes
@@ -123,3 +124,18 @@ def test_truth_from_a_recording_that_has_none(tmp_path):
     (tmp_path / "recording.toml").write_text("format = 1\n")
     with pytest.raises(InputError):
         read_truth(tmp_path)
+
+
+def test_the_folder_of_a_batch_is_not_one_path(tmp_path):
+    (tmp_path / "batch.csv").write_text("name,status\n")
+    with pytest.raises(InputError, match=r"results of several recordings; expected those of one"):
+        read_path(tmp_path)
+
+
+def test_rounding_of_a_height_that_is_given_is_shown_as_zero():
+    track = results.from_track(make_track(frame="local", knots=5, order=2, outliers=0))
+    truth = Truth(time_s=track.time_s, position_m=track.position_m + np.array([1.0, 2.0, 3e-29]))
+    figures = compare(track, truth).figures()
+    figures["components_m"]["z"] = {"rmse": 3e-29, "median": 3e-29, "max": 4e-29, "mean": -3e-29}
+    (line,) = [row for row in comparison_text(figures).splitlines() if row.startswith("z (m)")]
+    assert line.split()[2:] == ["0", "0", "0", "0"]

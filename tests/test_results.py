@@ -14,7 +14,10 @@ from geograph import results
 from geograph.errors import InputError
 from geograph.geodesy import enu_axes, geodetic_from_ecef
 from geograph.results import names
+from geograph.results.data import ErrorState
+from geograph.results.facts import estimate_text
 from geograph.results.write import check_target, plain, write_files
+from geograph.units import Unit
 
 
 def same(first, second):
@@ -230,3 +233,25 @@ def test_missing_and_empty_files_are_named(folder, tmp_path):
     (folder / names.TRACK).unlink()
     with pytest.raises(InputError, match=r"track\.csv: cannot be read"):
         results.load(folder)
+
+
+@pytest.mark.parametrize(
+    ("estimate", "sigma", "text"),
+    [
+        (1.00002e-3, 5.7e-8, "+1000.02 ± 0.057"),
+        (-1.51589e-1, 3.2e-4, "-151590 ± 320"),
+        (-3.35e-8, 5e-8, "-0.0335 ± 0.05"),
+        (0.0, 1e-6, "+0 ± 1"),
+        (1e-6, 0.0, "+1 ± 0"),
+    ],
+)
+def test_an_estimate_has_the_digits_of_its_sigma(estimate, sigma, text):
+    error = ErrorState(
+        sensor="A",
+        state="clock_offset",
+        unit="s",
+        estimate=estimate,
+        sigma=sigma,
+        prior_sigma=1.0,
+    )
+    assert estimate_text(error, Unit("µs", 1e-6)) == text

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from geograph import read, write
 from geograph.constants import SPEED_OF_LIGHT_M_S
 from geograph.scenarios.moving_sensors import (
     EMITTERS_M,
@@ -205,3 +206,12 @@ def test_impossible_groups_are_refused() -> None:
         MovingSensors(name="few", group_m=FIRST_GROUP_M[:2])
     with pytest.raises(ValueError, match="groups of 4 and 3 sensors; expected the same number"):
         MovingSensors(name="odd", second_group_m=SECOND_GROUP_M[:3])
+
+
+@pytest.mark.parametrize("name", ["emitter-1-5ns", "emitter-2-position-0.75m"])
+def test_recordings_can_be_written(tmp_path, name):
+    (recording,) = recordings(VARIANTS[name], [3])
+    write(recording, tmp_path / name)
+    again = read(tmp_path / name)
+    assert np.array_equal(again.arrivals.toa_s, recording.arrivals.toa_s)
+    assert again.sensors["S1"].trajectory.time_s[-1] > recording.arrivals.toa_s.max()

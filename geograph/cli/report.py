@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _MOST_SENSORS, _MOST_ROWS, _MOST_NOTES = 20, 30, 8
 _WIDTH = 120
+_ROUNDING_M = 1e-9
 
 
 def results_text(results: Results, folder: Path) -> str:
@@ -49,7 +50,7 @@ def _headline(results: Results) -> str:
         f"chi2/dof {_number(facts.get('chi2'))}/{facts.get('degrees_of_freedom', '?')}",
         f"{facts.get('measurements', '?')} measurements over {end - start:.4g} s",
         f"{len(facts.get('rejected') or ())} rejected",
-        f"{results.time_s.size} knots",
+        f"{results.time_s.size} knot" + ("s" if results.time_s.size > 1 else ""),
         f"{_number(facts.get('seconds'))} s",
     ]
     return f"{results.name}: " + ", ".join(words)
@@ -86,7 +87,8 @@ def _path_rows(results: Results) -> list[list[str]]:
         chosen = {"start": 0, "end": 1}
     for label, knot in chosen.items():
         if geodetic is None:
-            place = [f"{value:.2f}" for value in results.position_m[knot]]
+            # Where a constraint holds the height, rounding leaves either sign of zero.
+            place = [f"{round(float(value), 2) + 0.0:.2f}" for value in results.position_m[knot]]
         else:
             latitude, longitude, height = geodetic[knot]
             place = [f"{latitude:.6f}", f"{longitude:.6f}", f"{height:.1f}"]
@@ -219,10 +221,10 @@ def comparison_text(figures: dict[str, Any]) -> str:
     rows = [["error", "RMSE", "median", "greatest", "mean"]]
     rows.append(["position (m)", *_three(figures["position_m"]), ""])
     for name, values in figures["components_m"].items():
-        rows.append([f"{name} (m)", *_three(values), f"{values['mean']:+.4g}"])
+        rows.append([f"{name} (m)", *_three(values), _error(values["mean"], "+")])
     if figures["speed_m_s"] is not None:
         values = figures["speed_m_s"]
-        rows.append(["speed (m/s)", *_three(values), f"{values['mean']:+.4g}"])
+        rows.append(["speed (m/s)", *_three(values), _error(values["mean"], "+")])
     nees = figures["nees"]
     low, high = nees["band_99"]
     lines = [
@@ -244,7 +246,12 @@ def comparison_text(figures: dict[str, Any]) -> str:
 
 
 def _three(values: dict[str, float]) -> list[str]:
-    return [f"{values[key]:.4g}" for key in ("rmse", "median", "max")]
+    return [_error(values[key]) for key in ("rmse", "median", "max")]
+
+
+def _error(value: float, sign: str = "") -> str:
+    """Return an error in metres; below a nanometre there is nothing but rounding."""
+    return f"{value:{sign}.4g}" if abs(value) >= _ROUNDING_M else "0"
 
 
 def _table(rows: list[list[str]]) -> str:

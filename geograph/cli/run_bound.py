@@ -13,6 +13,7 @@ from geograph.cli import NOT_CONVERGED, OK
 from geograph.cli.report import _table as table_text
 from geograph.cli.run_smooth import _spinner
 from geograph.errors import InputError, SolveError
+from geograph.results.facts import length_text, rounded
 from geograph.units import fitting_unit
 
 if TYPE_CHECKING:
@@ -247,7 +248,7 @@ def _knot_rows(found: PathBound) -> Rows:
 
 
 def _figure(value: float) -> str:
-    return f"{value:.4g}" if np.isfinite(value) else "open"
+    return rounded(value, 4) if np.isfinite(value) else "open"
 
 
 def _summary_rows(found: PathBound) -> Rows:
@@ -297,7 +298,7 @@ def _map_text(over: BoundMap) -> str:
     spread = facts["sigma_horizontal_m"]
     text = (
         f"map for an emitter that stands still: {facts['cells']} x {facts['cells']} cells over "
-        f"{facts['extent_m']:.4g} m"
+        f"{length_text(facts['extent_m'])}"
     )
     if spread["best"] is not None:
         text += (

@@ -27,10 +27,17 @@ def rounded(value: float, digits: int = 3) -> str:
 
 
 def estimate_text(error: ErrorState, unit: Unit) -> str:
-    """Return an estimate and its sigma in a unit, without its name."""
+    """Return an estimate and its sigma in a unit, without its name.
+
+    The estimate has three digits, and more where its sigma is that much smaller.
+    """
     estimate, sigma = error.estimate / unit.size, error.sigma / unit.size
     sign = "-" if estimate < 0.0 else "+"
-    return f"{sign}{rounded(abs(estimate))} ± {rounded(sigma, 2)}"
+    digits = 3
+    if estimate != 0.0 and np.isfinite(estimate) and 0.0 < sigma < abs(estimate):
+        # As far as the second digit of the sigma; a double has no more than fifteen.
+        digits += int(np.floor(np.log10(abs(estimate))) - np.floor(np.log10(sigma))) - 1
+    return f"{sign}{rounded(abs(estimate), min(max(digits, 3), 15))} ± {rounded(sigma, 2)}"
 
 
 def place_text(latitude_deg: float, longitude_deg: float, digits: int = 6) -> str:
