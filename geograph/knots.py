@@ -141,12 +141,25 @@ def place_knots(
     count = int(np.ceil((high - low) / spacing_s - 1e-9)) + 1
     distinct = np.unique(times_s)
     if automatic and 4 <= distinct.size < count:
-        # Times that are close for the spacing share a knot, which is then as good as at both.
-        keep = np.concatenate([[True], np.diff(distinct) > _CLOSE * spacing_s])
-        keep[-1] = True
-        if keep.sum() >= 4:
-            return np.asarray(distinct[keep])
+        knots = _apart(distinct, _CLOSE * spacing_s)
+        if knots.size >= 4:
+            return knots
     return np.linspace(low, high, max(count, 2))
+
+
+def _apart(times_s: NDArray[np.float64], least_s: float) -> NDArray[np.float64]:
+    """Return those of growing times that are farther apart, first and last among them.
+
+    Times that are close for the spacing share a knot, which is then as good as at both. Two knots
+    that only rounding sets apart would leave an interval in which nothing can be told.
+    """
+    kept = [float(times_s[0])]
+    for time in times_s.tolist():
+        if time - kept[-1] > least_s:
+            kept.append(time)
+    if len(kept) > 1:
+        kept[-1] = float(times_s[-1])
+    return np.array(kept)
 
 
 def check_memory(knots: float, unknowns: int, spacing_s: float) -> None:

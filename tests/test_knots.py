@@ -93,3 +93,20 @@ def test_memory():
     with pytest.raises(InputError, match=r"1e-06 s gives 1e\+12 knots.*widen spacing_s") as caught:
         check_memory(1e12, 60, 1e-6)
     assert caught.value.column == "spacing_s"
+
+
+def test_no_two_knots_are_set_apart_by_rounding_alone():
+    """Times of emission that differ by nanoseconds from kind to kind, the last one as well."""
+    times = np.concatenate([2.0 * np.arange(1.0, 61.0), 2.0 * np.arange(1.0, 61.0) + 7e-10])
+    knots = place_knots(times, 0.5, automatic=True)
+    assert knots.size == 60
+    assert knots[0] == times.min()
+    assert knots[-1] == times.max()
+    assert np.diff(knots).min() > 1.9
+
+
+def test_a_dense_burst_has_knots_of_its_own():
+    """Each time is close to the next, but not the first to the last."""
+    times = np.concatenate([np.linspace(0.0, 4.5, 60), np.arange(10.0, 1000.0, 10.0)])
+    knots = place_knots(times, 1.0, automatic=True)
+    assert np.diff(knots[knots <= 4.5]).max() < 0.2
