@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.stats import chi2
 
 from geograph.errors import SolveError
 from geograph.factors.kinematics import conditional_covariance
@@ -22,6 +23,7 @@ from geograph.motion import Density
 from geograph.prepare import Prepared, prepare
 from geograph.problem import Problem
 from geograph.process_noise import least_noise
+from geograph.range_retries import further_fits
 from geograph.report import make_track
 from geograph.rivals import Attempt, Rival, find_rivals
 from geograph.robust import anneal, thresholds
@@ -40,6 +42,12 @@ if TYPE_CHECKING:
 
 _ROUNDS = 6
 _TRIAL_ITERATIONS = 40
+
+# Further first guesses are tried where the median square is above that of normal errors by this.
+_MISFIT = 2.0
+
+# An estimate whose signals were emitted so many times the recording's length away has run off.
+_RUN_OFF = 1e6
 
 
 @dataclass(eq=False)
@@ -107,11 +115,11 @@ class Smoother:
             problem, values = self.start(fit, trial if several or automatic else loss)
             if self.robust and problem.loss == loss and self._suspect(problem, values):
                 problem = problem.with_weights(problem.weights, trial)
-            limit = _TRIAL_ITERATIONS if several else settings.max_iterations
-            solution = self._solve(problem, values, min(limit, settings.max_iterations))
-            self.attempts.append(Attempt(fit, problem, solution, self._resolution))
-        self.attempts.sort(key=lambda attempt: _rank(attempt.solution))
+            self._attempt(fit, problem, values, _TRIAL_ITERATIONS if several else None)
         best = self.attempts[0]
+        for fit in further_fits(self.prepared, best, misfit=self._misfit(best)):
+            self._attempt(fit, *self.start(fit, best.problem.loss), _TRIAL_ITERATIONS)
+            several, best = True, self.attempts[0]
         self.problem, self.solution, self._resolution = best.problem, best.solution, best.resolution
         if self.solution.status is Status.ITERATION_LIMIT and several:
             self._change(self.problem)
@@ -123,6 +131,19 @@ class Smoother:
             self._tune_noise(1.0)
         self._settle()
         self._compare()
+
+    def _attempt(self, fit: PathFit, problem: Problem, values: Values, limit: int | None) -> None:
+        """Solve from a first guess; attempts stay in order of their costs."""
+        most = self.settings.max_iterations
+        solution = self._solve(problem, values, min(limit or most, most))
+        self.attempts.append(Attempt(fit, problem, solution, self._resolution))
+        self.attempts.sort(key=lambda attempt: _rank(attempt.solution))
+
+    def _misfit(self, attempt: Attempt) -> bool:
+        """Tell whether most measurements are well beyond their sigmas from an attempt's path."""
+        square = self.squares(attempt.problem, attempt.solution.values)
+        typical = float(np.median(square / self._rows))
+        return not typical < _MISFIT * float(chi2.median(1))
 
     def _compare(self) -> None:
         """Hold the estimate against what the other first guesses led to."""
@@ -320,6 +341,10 @@ class Smoother:
                 break
             _, times = self.emissions()
             knots = self.problem.knots_s
+            far = _RUN_OFF * max(self.prepared.span_s, 1.0)
+            if not np.abs(times - knots.mean()).max() < far:
+                self.solution = replace(self.solution, status=Status.DIVERGED, elimination=None)
+                break
             if knots.size > 1:
                 slack = 0.05 * float(np.diff(knots).min())
                 if times.min() < knots[0] - slack or times.max() > knots[-1] + slack:
