@@ -57,7 +57,7 @@ def further_fits(prepared: Prepared, attempt: Attempt, *, misfit: bool) -> list[
     _, spread, axes = np.linalg.svd(places - middle, full_matrices=True)
     spread = np.append(spread, np.zeros(3 - spread.size))
     found = []
-    if misfit and 0.0 < spread[1] and spread[2] < _THICK * spread[1]:
+    if misfit and spread[1] > 0.0 and spread[2] < _THICK * spread[1]:
         mirror = _mirrored(attempt, middle, axes[2])
         found += [] if mirror is None else [mirror]
     radius = float(np.linalg.norm(places - middle, axis=1).mean())

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
+from geograph.culprits import other_culprits
 from geograph.errors import SolveError
 from geograph.factors.kinematics import conditional_covariance
 from geograph.families import SensorFamily, Values
@@ -74,6 +75,8 @@ class Smoother:
         What the first guesses led to, the best first.
     rivals
         Other paths that fit as well.
+    culprits
+        A sentence where another sensor than the one left out could be the wrong one.
     """
 
     prepared: Prepared
@@ -87,6 +90,7 @@ class Smoother:
     rivals: list[Rival] = field(default_factory=list)
     ignored: float = 0.0
     undecided: bool = False
+    culprits: str | None = None
 
     def __post_init__(self) -> None:
         families = self.prepared.sensor_families()
@@ -131,6 +135,7 @@ class Smoother:
             self._tune_noise(1.0)
         self._settle()
         self._compare()
+        self.culprits = other_culprits(self)
 
     def _attempt(self, fit: PathFit, problem: Problem, values: Values, limit: int | None) -> None:
         """Solve from a first guess; attempts stay in order of their costs."""
@@ -144,6 +149,12 @@ class Smoother:
         square = self.squares(attempt.problem, attempt.solution.values)
         typical = float(np.median(square / self._rows))
         return not typical < _MISFIT * float(chi2.median(1))
+
+    def adopt(self, problem: Problem, solution: Solution, rejected: NDArray[np.bool_]) -> None:
+        """Take over another solution, with other measurements left out, and refine it."""
+        self.problem, self.solution, self.rejected = problem, solution, rejected
+        self.iterations += solution.iterations
+        self._settle()
 
     def _compare(self) -> None:
         """Hold the estimate against what the other first guesses led to."""
@@ -202,7 +213,7 @@ class Smoother:
             [family.squares(part) for family, part in zip(families, found, strict=False)]
         )
 
-    def _weights(self, column: NDArray[np.float64] | None) -> list[NDArray[np.float64] | None]:
+    def weights(self, column: NDArray[np.float64] | None) -> list[NDArray[np.float64] | None]:
         """Return weights for every family: those given for the sensors', none for the others."""
         others = [None] * (len(self.problem.families) - len(self.families))
         if column is None:
@@ -212,7 +223,7 @@ class Smoother:
     def _reject(self, trial: Loss) -> None:
         """Find the outliers, if there are any, and solve without them."""
         rows, group = self._rows, self.group
-        plain = self.problem.with_weights(self._weights(None), Loss("none"))
+        plain = self.problem.with_weights(self.weights(None), Loss("none"))
         square = self.squares(self.problem, self.solution.values)
         if self.problem.loss != trial:
             if (square <= thresholds(np.zeros_like(square), rows, group)).all():
@@ -222,7 +233,7 @@ class Smoother:
             square = self.squares(self.problem, self.solution.values)
 
         def solved(weight: NDArray[np.float64]) -> NDArray[np.float64]:
-            self._change(plain.with_weights(self._weights(weight)))
+            self._change(plain.with_weights(self.weights(weight)))
             return self.squares(self.problem, self.solution.values)
 
         before = self.solution
@@ -231,12 +242,12 @@ class Smoother:
             # What would be left is a minority, or says nothing beyond its own fit: which of the
             # measurements are wrong cannot be told from them.
             self.undecided = True
-            self.problem, self.solution = plain.with_weights(self._weights(None), trial), before
+            self.problem, self.solution = plain.with_weights(self.weights(None), trial), before
             self._change(self.problem)
             return
         self.rejected = ~kept
         weight = kept.astype(np.float64) if self.rejected.any() else None
-        self._change(plain.with_weights(self._weights(weight)))
+        self._change(plain.with_weights(self.weights(weight)))
 
     def _tune_noise(self, decades: float) -> None:
         """Set the process noise to the value of greatest marginal likelihood."""
