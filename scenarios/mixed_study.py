@@ -88,7 +88,7 @@ class Outcome:
     def velocity_ratio(self) -> float:
         """Root mean square velocity error over its bound; NaN without a velocity."""
         bound = self.bound_m2_s2.mean()
-        return float(np.sqrt(self.square_m2_s2.mean() / bound)) if bound > 0.0 else float("nan")
+        return float(np.sqrt(self.square_m2_s2.mean() / bound)) if bound > 0.0 else np.nan
 
     @property
     def standard_error(self) -> float:
@@ -104,7 +104,7 @@ class Outcome:
     def band(self, alarm: float = 0.01) -> tuple[float, float]:
         """Return where :attr:`anees` is but for a given rate of false alarms."""
         count = self.axes * self.nees.size
-        low, high = chi2.ppf([0.5 * alarm, 1.0 - 0.5 * alarm], count) / count
+        low, high = (chi2.ppf(p, count) / count for p in (0.5 * alarm, 1.0 - 0.5 * alarm))
         return float(low), float(high)
 
 
@@ -123,7 +123,8 @@ def run(case: Case, seeds: Iterable[int]) -> Outcome:
     ValueError
         If no run converged.
     """
-    rows, other = [], {}
+    rows: list[tuple[float, ...]] = []
+    other: dict[str, int] = {}
     for seed in seeds:
         world = case.world(seed)
         track = smooth(world.recording, raise_on_failure=False)
@@ -133,7 +134,9 @@ def run(case: Case, seeds: Iterable[int]) -> Outcome:
             other[str(track.status)] = other.get(str(track.status), 0) + 1
     if not rows:
         raise ValueError(f"no run converged: {other}; nothing to score")
-    return Outcome(*np.array(rows).T, axes=2 if case.flat else 3, other=other)
+    square, bound, fast, fast_bound, nees = np.array(rows).T
+    axes = 2 if case.flat else 3
+    return Outcome(square, bound, fast, fast_bound, nees, axes, other)
 
 
 def _score(track: Track, world: RadioWorld, *, flat: bool) -> tuple[float, ...]:
@@ -196,7 +199,7 @@ def _formation(seed: int, **options: Any) -> RadioWorld:
 
 
 _EMITTERS_M = {1: (9e3, 100e3), 2: (65e3, 80e3)}
-_FLIGHT = {"process_noise": 0.01, "carrier_hz": 10e9}
+_FLIGHT: dict[str, Any] = {"process_noise": 0.01, "carrier_hz": 10e9}
 
 VELOCITY: dict[str, Case] = {
     f"emitter {number}, {speed} m/s, {'times' if sigma is None else f'and {sigma:g} Hz'}": Case(

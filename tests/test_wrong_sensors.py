@@ -20,10 +20,8 @@ PLACES = np.array(
 )  # fmt: skip
 
 
-def world(
-    count: int, start: list[float], velocity: list[float] | None = None, **plan
-) -> RadioWorld:
-    body = StraightBody(np.array(start), None if velocity is None else np.array(velocity))
+def world(count: int, place_m: list[float]) -> RadioWorld:
+    body = StraightBody(np.array(place_m))
     return make_radio_world(
         name="world",
         path=body,
@@ -69,9 +67,8 @@ def test_one_wrong_sensor_of_seven_is_named_and_does_no_harm(wrong):
     assert np.linalg.norm(track.position_m[0] - made.path.position_at(0.0)) < 40.0
     flagged = track.summary["flagged_sensors"]
     assert [text.split(":")[0] for text in flagged] == [name]
-    assert {"clock": "clock offset of 0.001000", "place": "position error"}[wrong] in flagged[
-        0
-    ] or ("clock offset of 0.000999" in flagged[0])
+    assert "clock offset" in flagged[0]
+    assert "position error" in flagged[0]
 
 
 def test_with_five_sensors_it_is_said_that_another_one_could_be_wrong():
