@@ -71,6 +71,8 @@ def make_track(smoother: Smoother, *, seconds: float) -> Track:
     if smoother.rivals:
         others = [rival.sentence(track.frame) for rival in smoother.rivals]
         weak = WeakDirections([*others, *weak.sentences], unobservable=True)
+    if smoother.culprits is not None:
+        weak = WeakDirections([smoother.culprits, *weak.sentences], unobservable=True)
     status = solution.status
     if weak.unobservable:
         status = Status.UNOBSERVABLE

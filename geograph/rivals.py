@@ -98,7 +98,7 @@ def find_rivals(
     for attempt in attempts:
         if not np.isfinite(attempt.solution.values.path).all():
             continue
-        start = _read(attempt, problem)
+        start = read_attempt(attempt, problem)
         if not _separate(problem, solution, start):
             continue
         other = solve(problem, start, max_iterations=_ITERATIONS)
@@ -121,8 +121,16 @@ def find_rivals(
     return solution, rivals
 
 
-def _read(attempt: Attempt, problem: Problem) -> Values:
-    """Return an attempt's estimate at the knots of another problem."""
+def read_attempt(attempt: Attempt, problem: Problem) -> Values:
+    """Return an attempt's estimate at the knots of another problem.
+
+    Parameters
+    ----------
+    attempt
+        What a first guess led to.
+    problem
+        The other problem, of the same recording.
+    """
     own, values = attempt.problem, attempt.solution.values
     path = own.motion.read(own.path, values.path, problem.knots_s)
     chains = np.zeros((problem.knots_s.size, values.walks.shape[1]))

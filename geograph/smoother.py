@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.stats import chi2
 
+from geograph.culprits import other_culprits
 from geograph.errors import SolveError
 from geograph.factors.kinematics import conditional_covariance
 from geograph.families import SensorFamily, Values
@@ -22,6 +24,7 @@ from geograph.motion import Density
 from geograph.prepare import Prepared, prepare
 from geograph.problem import Problem
 from geograph.process_noise import least_noise
+from geograph.range_retries import further_fits
 from geograph.report import make_track
 from geograph.rivals import Attempt, Rival, find_rivals
 from geograph.robust import anneal, thresholds
@@ -40,6 +43,12 @@ if TYPE_CHECKING:
 
 _ROUNDS = 6
 _TRIAL_ITERATIONS = 40
+
+# Further first guesses are tried where the median square is above that of normal errors by this.
+_MISFIT = 2.0
+
+# An estimate whose signals were emitted so many times the recording's length away has run off.
+_RUN_OFF = 1e6
 
 
 @dataclass(eq=False)
@@ -66,6 +75,8 @@ class Smoother:
         What the first guesses led to, the best first.
     rivals
         Other paths that fit as well.
+    culprits
+        A sentence where another sensor than the one left out could be the wrong one.
     """
 
     prepared: Prepared
@@ -79,6 +90,7 @@ class Smoother:
     rivals: list[Rival] = field(default_factory=list)
     ignored: float = 0.0
     undecided: bool = False
+    culprits: str | None = None
 
     def __post_init__(self) -> None:
         families = self.prepared.sensor_families()
@@ -107,11 +119,11 @@ class Smoother:
             problem, values = self.start(fit, trial if several or automatic else loss)
             if self.robust and problem.loss == loss and self._suspect(problem, values):
                 problem = problem.with_weights(problem.weights, trial)
-            limit = _TRIAL_ITERATIONS if several else settings.max_iterations
-            solution = self._solve(problem, values, min(limit, settings.max_iterations))
-            self.attempts.append(Attempt(fit, problem, solution, self._resolution))
-        self.attempts.sort(key=lambda attempt: _rank(attempt.solution))
+            self._attempt(fit, problem, values, _TRIAL_ITERATIONS if several else None)
         best = self.attempts[0]
+        for fit in further_fits(self.prepared, best, misfit=self._misfit(best)):
+            self._attempt(fit, *self.start(fit, best.problem.loss), _TRIAL_ITERATIONS)
+            several, best = True, self.attempts[0]
         self.problem, self.solution, self._resolution = best.problem, best.solution, best.resolution
         if self.solution.status is Status.ITERATION_LIMIT and several:
             self._change(self.problem)
@@ -123,6 +135,26 @@ class Smoother:
             self._tune_noise(1.0)
         self._settle()
         self._compare()
+        self.culprits = other_culprits(self)
+
+    def _attempt(self, fit: PathFit, problem: Problem, values: Values, limit: int | None) -> None:
+        """Solve from a first guess; attempts stay in order of their costs."""
+        most = self.settings.max_iterations
+        solution = self._solve(problem, values, min(limit or most, most))
+        self.attempts.append(Attempt(fit, problem, solution, self._resolution))
+        self.attempts.sort(key=lambda attempt: _rank(attempt.solution))
+
+    def _misfit(self, attempt: Attempt) -> bool:
+        """Tell whether most measurements are well beyond their sigmas from an attempt's path."""
+        square = self.squares(attempt.problem, attempt.solution.values)
+        typical = float(np.median(square / self._rows))
+        return not typical < _MISFIT * float(chi2.median(1))
+
+    def adopt(self, problem: Problem, solution: Solution, rejected: NDArray[np.bool_]) -> None:
+        """Take over another solution, with other measurements left out, and refine it."""
+        self.problem, self.solution, self.rejected = problem, solution, rejected
+        self.iterations += solution.iterations
+        self._settle()
 
     def _compare(self) -> None:
         """Hold the estimate against what the other first guesses led to."""
@@ -181,7 +213,7 @@ class Smoother:
             [family.squares(part) for family, part in zip(families, found, strict=False)]
         )
 
-    def _weights(self, column: NDArray[np.float64] | None) -> list[NDArray[np.float64] | None]:
+    def weights(self, column: NDArray[np.float64] | None) -> list[NDArray[np.float64] | None]:
         """Return weights for every family: those given for the sensors', none for the others."""
         others = [None] * (len(self.problem.families) - len(self.families))
         if column is None:
@@ -191,7 +223,7 @@ class Smoother:
     def _reject(self, trial: Loss) -> None:
         """Find the outliers, if there are any, and solve without them."""
         rows, group = self._rows, self.group
-        plain = self.problem.with_weights(self._weights(None), Loss("none"))
+        plain = self.problem.with_weights(self.weights(None), Loss("none"))
         square = self.squares(self.problem, self.solution.values)
         if self.problem.loss != trial:
             if (square <= thresholds(np.zeros_like(square), rows, group)).all():
@@ -201,7 +233,7 @@ class Smoother:
             square = self.squares(self.problem, self.solution.values)
 
         def solved(weight: NDArray[np.float64]) -> NDArray[np.float64]:
-            self._change(plain.with_weights(self._weights(weight)))
+            self._change(plain.with_weights(self.weights(weight)))
             return self.squares(self.problem, self.solution.values)
 
         before = self.solution
@@ -210,12 +242,12 @@ class Smoother:
             # What would be left is a minority, or says nothing beyond its own fit: which of the
             # measurements are wrong cannot be told from them.
             self.undecided = True
-            self.problem, self.solution = plain.with_weights(self._weights(None), trial), before
+            self.problem, self.solution = plain.with_weights(self.weights(None), trial), before
             self._change(self.problem)
             return
         self.rejected = ~kept
         weight = kept.astype(np.float64) if self.rejected.any() else None
-        self._change(plain.with_weights(self._weights(weight)))
+        self._change(plain.with_weights(self.weights(weight)))
 
     def _tune_noise(self, decades: float) -> None:
         """Set the process noise to the value of greatest marginal likelihood."""
@@ -320,6 +352,10 @@ class Smoother:
                 break
             _, times = self.emissions()
             knots = self.problem.knots_s
+            far = _RUN_OFF * max(self.prepared.span_s, 1.0)
+            if not np.abs(times - knots.mean()).max() < far:
+                self.solution = replace(self.solution, status=Status.DIVERGED, elimination=None)
+                break
             if knots.size > 1:
                 slack = 0.05 * float(np.diff(knots).min())
                 if times.min() < knots[0] - slack or times.max() > knots[-1] + slack:

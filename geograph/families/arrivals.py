@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 _ROUNDS = 20
 _TOLERANCE = 1e-3
 
+# Least rate at which arrivals follow emissions, in Newton's step; it is zero on the cone of sound.
+_LEAST_RATE = 0.05
+
 
 class ArrivalFamily(RayFamily):
     """All arrival times of a recording, sorted by emission.
@@ -116,7 +119,12 @@ class ArrivalFamily(RayFamily):
             position, velocity = state.position_velocity(path.locate(emitted))
             ray = end.rays(position, velocity, emitted, own, self._delays[0])
             self._delays[0] = ray.light_time_s
-            before, emitted = emitted, self._median(arrived - ray.light_time_s)[self.group]
+            # Newton's step; the times themselves would drift apart where the object is faster than
+            # the signal.
+            late = self._median(arrived - ray.light_time_s - emitted)
+            rate = self._median(arrival_gradient(ray).by_emission)
+            rate = np.copysign(np.maximum(np.abs(rate), _LEAST_RATE), rate)
+            before, emitted = emitted, emitted + (late / rate)[self.group]
             if not np.abs(emitted - before).max(initial=0.0) > enough:
                 break
         if np.isfinite(emitted).all():
@@ -134,6 +142,9 @@ class ArrivalFamily(RayFamily):
     def _predicted_error(self, found: Solved) -> NDArray[np.float64]:
         # The two large times first: their difference is exact to the digits that they have.
         gap = found.emitted_s - self.measured
+        # Where a path runs off, so do its times of emission, until they hide what was measured.
+        coarse = np.spacing(np.abs(found.emitted_s))
+        gap[(coarse > self.sigma) & (coarse > 16.0 * np.spacing(np.abs(self.measured)))] = np.nan
         return np.asarray(gap + found.rays[0].light_time_s + found.errors[0][:, CLOCK])
 
     def _gradients(

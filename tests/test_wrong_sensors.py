@@ -1,0 +1,99 @@
+"""Sensors that are wrong, loose or nearly in a plane: what is found, named, or said to be open."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import geograph as gg
+from geograph.scenarios.paths import StraightBody
+from geograph.scenarios.radio import RadioWorld, fixed_receivers, make_radio_world
+from geograph.scenarios.radio_plans import ArrivalPlan
+from geograph.scenarios.sound import Microphones, microphones_world
+from geograph.scenarios.worlds import Streams, truth_table
+from geograph.sensors import SensorErrors
+from geograph.solver import Status
+
+PLACES = np.array(
+    [[0, 0, 0], [4e3, 0, 300], [4e3, 4e3, 50], [0, 4e3, 500], [2e3, -2e3, 0], [-2e3, 2e3, 900],
+     [6e3, 2e3, 100]]
+)  # fmt: skip
+
+
+def world(count: int, place_m: list[float]) -> RadioWorld:
+    body = StraightBody(np.array(place_m))
+    return make_radio_world(
+        name="world",
+        path=body,
+        receivers=fixed_receivers(list(PLACES[:count]), [SensorErrors()] * count),
+        plans=[
+            ArrivalPlan(
+                emission_time_s=np.arange(20.0),
+                receivers=tuple(range(count)),
+                sigma_s=10e-9,
+            )
+        ],
+        streams=Streams.from_seed(4),
+        settings=gg.SmoothSettings(motion="static"),
+        truth=truth_table(body, (-1.0, 21.0), step_s=1.0),
+        frame="local",
+    )
+
+
+def moved(recording: gg.Recording, index: int, by_m: list[float]) -> gg.Recording:
+    """Let a sensor say that it is elsewhere."""
+    name = recording.sensor_names[index]
+    sensor = recording.sensors[name]
+    wrong = replace(sensor, position_m=sensor.position_m + np.array(by_m))
+    return replace(recording, sensors=dict(recording.sensors) | {name: wrong})
+
+
+def late(recording: gg.Recording, index: int, by_s: float) -> gg.Recording:
+    table = recording.arrivals
+    toa = table.toa_s + by_s * (table.sensor == index)
+    return replace(recording, arrivals=replace(table, toa_s=toa))
+
+
+@pytest.mark.parametrize("wrong", ["clock", "place"])
+def test_one_wrong_sensor_of_seven_is_named_and_does_no_harm(wrong):
+    made = world(7, [1e3, 2.5e3, 900.0])
+    recording = (
+        late(made.recording, 3, 1e-3)
+        if wrong == "clock"
+        else moved(made.recording, 3, [300.0, -400.0, 0.0])
+    )
+    track = gg.smooth(recording)
+    name = recording.sensor_names[3]
+    assert np.linalg.norm(track.position_m[0] - made.path.position_at(0.0)) < 40.0
+    flagged = track.summary["flagged_sensors"]
+    assert [text.split(":")[0] for text in flagged] == [name]
+    assert "clock offset" in flagged[0]
+    assert "position error" in flagged[0]
+
+
+def test_with_five_sensors_it_is_said_that_another_one_could_be_wrong():
+    """Four sensors fit any place in space exactly: which of five is wrong cannot be seen."""
+    recording = moved(world(5, [1e3, 2.5e3, 900.0]).recording, 3, [300.0, -400.0, 0.0])
+    track = gg.smooth(recording, raise_on_failure=False)
+    assert track.status is Status.UNOBSERVABLE
+    (said,) = [text for text in track.summary["weakly_observed"] if "rest agrees" in text]
+    assert recording.sensor_names[3] in said
+
+
+def test_a_mirror_image_behind_the_microphones_is_not_taken_for_the_path():
+    made = microphones_world(0, Microphones(clock_offset_s=5e-3, clock_drift_s_s=5e-4))
+    track = gg.smooth(made.recording, raise_on_failure=False)
+    error = track.position_m - made.path.position_at(track.time_s)
+    # In the image of the path it is 58 m.
+    assert np.linalg.norm(error, axis=1).mean() < 5.0
+    assert track.summary["chi2"] < 1.5 * track.summary["degrees_of_freedom"]
+
+
+def test_microphones_whose_clocks_are_off_by_seconds():
+    made = microphones_world(0, Microphones(clock_offset_s=2.0, claps=25))
+    track = gg.smooth(made.recording, raise_on_failure=False)
+    assert track.status in (Status.CONVERGED, Status.UNOBSERVABLE)
+    assert np.isfinite(track.summary["cost"])
+    freedom = track.summary["degrees_of_freedom"]
+    # Noise has a chi-square of the degrees of freedom; paths that run off had one of zero.
+    assert 0.5 * freedom < track.summary["chi2"] < 1.6 * freedom
