@@ -32,6 +32,9 @@ EXPECTED_NEES = 3.0
 """Mean of a chi-square with three degrees of freedom: of the NEES of an honest position. In the
 plane, where the height is given, it is two."""
 
+# Rounds of fitting the delay: the path is nearly straight within it.
+_DELAY_ROUNDS = 3
+
 # Knots of an object at rest differ by rounding alone.
 _AT_REST_M = 1e-6
 
@@ -81,6 +84,8 @@ class Comparison:
         Shape (n,), or None where either has no velocity.
     dimensions
         How many coordinates the NEES counts: 3, or 2 where the height was given.
+    delay_s
+        By how much the truth lags, where that was fitted and taken out; None: it was not.
     """
 
     time_s: NDArray[np.float64]
@@ -91,6 +96,7 @@ class Comparison:
     nees: NDArray[np.float64]
     speed_error_m_s: NDArray[np.float64] | None
     dimensions: int = 3
+    delay_s: float | None = None
 
     def figures(self) -> dict[str, Any]:
         """Return the errors in figures, ready for JSON."""
@@ -105,6 +111,7 @@ class Comparison:
         return {
             "points": int(self.time_s.size),
             "outside": self.outside,
+            "delay_s": self.delay_s,
             "position_m": _figures(distance),
             "components_m": {
                 name: _figures(np.abs(error)) | {"mean": float(error.mean())}
@@ -126,7 +133,9 @@ class Comparison:
         }
 
 
-def compare(track: Track | Results | PathEstimate, truth: Truth) -> Comparison:
+def compare(
+    track: Track | Results | PathEstimate, truth: Truth, *, fit_delay: bool = False
+) -> Comparison:
     """Return the errors of a path at the times of the truth.
 
     Parameters
@@ -135,13 +144,34 @@ def compare(track: Track | Results | PathEstimate, truth: Truth) -> Comparison:
         A track, its results, or a path alone.
     truth
         In the same frame, its times after the same epoch.
+    fit_delay
+        Whether the truth may lag by one time, as positions do that an aircraft reports of itself:
+        the median of the errors along the path over the speed. It is taken out of the errors.
 
     Raises
     ------
     InputError
-        If no time of the truth lies within the path.
+        If no time of the truth lies within the path, or a delay is asked for of an object at rest.
     """
     path = track if isinstance(track, PathEstimate) else _path_of(as_results(track))
+    if not fit_delay:
+        return _compared(path, truth)
+    delay = 0.0
+    for _ in range(_DELAY_ROUNDS):
+        found = _compared(path, dataclasses.replace(truth, time_s=truth.time_s - delay))
+        if found.course_error_m is None:
+            raise InputError("the path has no velocity; a delay is that of a moving object's truth")
+        _, velocity = path.knots.at(found.time_s)
+        assert velocity is not None
+        speed = np.linalg.norm(velocity, axis=-1)
+        moving = speed > 0.0
+        if moving.any():
+            delay += float(np.median(found.course_error_m[moving, 0] / speed[moving]))
+    found = _compared(path, dataclasses.replace(truth, time_s=truth.time_s - delay))
+    return dataclasses.replace(found, delay_s=delay)
+
+
+def _compared(path: PathEstimate, truth: Truth) -> Comparison:
     knots = path.knots
     first, last = knots.time_s[0], knots.time_s[-1]
     # One knot is an object at rest, which holds for all times.

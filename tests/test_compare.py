@@ -45,6 +45,26 @@ def test_known_errors_are_found_along_across_and_above():
     assert figures["nees"]["band_99"] == pytest.approx([0.07172, 12.8382], rel=1e-4)
 
 
+def test_a_truth_that_lags_is_shifted_if_asked():
+    path = straight()
+    time = np.array([0.5, 3.25, 9.0, 9.5])
+    truth = Truth(time_s=time, position_m=(time - 0.25)[:, None] * [10.0, 0.0, 0.0] + [0, 2.0, 0])
+    plain, shifted = compare(path, truth), compare(path, truth, fit_delay=True)
+    assert plain.delay_s is None
+    np.testing.assert_allclose(plain.course_error_m[:, 0], 2.5, atol=1e-9)
+    assert shifted.delay_s == pytest.approx(0.25, abs=1e-9)
+    np.testing.assert_allclose(shifted.error_m, np.tile([0.0, -2.0, 0.0], (4, 1)), atol=1e-9)
+    assert "it lags by 0.25 s, which is taken out" in comparison_text(shifted.figures())
+    assert "lags" not in comparison_text(plain.figures())
+    still = PathEstimate(
+        frame="local",
+        knots=Knots(time_s=np.zeros(1), position_m=np.zeros((1, 3))),
+        covariance_m2=np.eye(3)[None],
+    )
+    with pytest.raises(InputError, match="the path has no velocity"):
+        compare(still, truth, fit_delay=True)
+
+
 def test_honest_covariance_has_nees_of_three():
     rng = np.random.default_rng(5)
     path = straight(sigma=2.0, count=4001)

@@ -209,6 +209,14 @@ def compare(
     truth: Annotated[
         Path, typer.Argument(help="A truth table, or a recording or results folder that has one.")
     ],
+    delay: Annotated[
+        bool,
+        typer.Option(
+            "--delay",
+            help="Fit one time by which the truth lags, as an aircraft's own reports do, and take "
+            "it out.",
+        ),
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print figures as JSON.")] = False,
 ) -> None:
     """Compare a smoothed path with the truth: errors, and whether the covariance is honest."""
@@ -217,7 +225,8 @@ def compare(
     from geograph.compare import read_path, read_truth
     from geograph.results.write import json_text
 
-    figures = compare_paths(read_path(track), read_truth(truth)).figures()
+    found = compare_paths(read_path(track), read_truth(truth), fit_delay=delay)
+    figures = found.figures()
     typer.echo(json_text(figures) if json else comparison_text(figures))
 
 

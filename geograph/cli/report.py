@@ -229,7 +229,12 @@ def comparison_text(figures: dict[str, Any]) -> str:
     low, high = nees["band_99"]
     lines = [
         f"{figures['points']} points of the truth"
-        + (f", and {figures['outside']} outside the path" if figures["outside"] else ""),
+        + (f", and {figures['outside']} outside the path" if figures["outside"] else "")
+        + (
+            f"; it lags by {figures['delay_s']:.3g} s, which is taken out"
+            if figures["delay_s"] is not None
+            else ""
+        ),
         "",
         _table(rows),
         "",
