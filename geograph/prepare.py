@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from geograph.sensors import Sensor
 
 
+# How far beyond the measurements a constraint may stand: in sigmas of clocks, in spans.
 _CLOCK_SIGMAS = 3.0
+_SLACK_SHARE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,9 +216,10 @@ def _check_constraint_times(recording: Recording, sensors: list[Sensor]) -> None
     table = recording.constraints
     if table is None:
         return
-    # Time tags may be off by as much as the clocks.
+    # Time tags may be off by as much as the clocks, and a clock that is wrong has no prior.
     margin = _CLOCK_SIGMAS * max(sensor.errors.clock_offset_s for sensor in sensors)
     first, last = recording.time_span_s
+    margin = max(margin, _SLACK_SHARE * (last - first))
     # Empty times, which are NaN, are of the whole path.
     beyond = (table.time_s < first - margin) | (table.time_s > last + margin)
     if beyond.any():

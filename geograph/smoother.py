@@ -238,7 +238,8 @@ class Smoother:
 
         before = self.solution
         kept = anneal(solved, square, rows, group)
-        if rows[kept].sum() < max(0.5 * rows.sum(), 3 * self.problem.motion.order + 1):
+        least = max(0.5 * rows.sum(), 3 * self.problem.motion.order + 1)
+        if not kept.all() and rows[kept].sum() < least:
             # What would be left is a minority, or says nothing beyond its own fit: which of the
             # measurements are wrong cannot be told from them.
             self.undecided = True

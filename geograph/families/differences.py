@@ -248,9 +248,9 @@ class FrequencyDifferenceFamily(_DifferenceFamily):
 
         A frequency follows the clock only as the geometry turns.
         """
-        turning = np.maximum(speed_m_s, 1e-300) / np.maximum(distance_m, 1e-300)
-        rate = self.velocity_resolution_m_s() / np.maximum(speed_m_s, 1e-300)
-        return np.asarray(rate / turning)
+        rate = self.velocity_resolution_m_s() * distance_m
+        still = np.full(len(self), np.inf)
+        return np.divide(rate, speed_m_s**2, out=still, where=speed_m_s**2 > 1e-300 * rate)
 
     def _predicted_error(self, found: Solved) -> NDArray[np.float64]:
         offsets = found.errors[0][:, FREQUENCY] - found.errors[1][:, FREQUENCY]
