@@ -250,7 +250,8 @@ class FrequencyDifferenceFamily(_DifferenceFamily):
         """
         rate = self.velocity_resolution_m_s() * distance_m
         still = np.full(len(self), np.inf)
-        return np.divide(rate, speed_m_s**2, out=still, where=speed_m_s**2 > 1e-300 * rate)
+        moves = speed_m_s**2 > 1e-300 * rate
+        return np.asarray(np.divide(rate, speed_m_s**2, out=still, where=moves))
 
     def _predicted_error(self, found: Solved) -> NDArray[np.float64]:
         offsets = found.errors[0][:, FREQUENCY] - found.errors[1][:, FREQUENCY]
