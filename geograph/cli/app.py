@@ -19,6 +19,7 @@ from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotati
     ProcessNoiseAlong,
     Spacing,
 )
+from geograph.cli.track_command import track
 
 app = typer.Typer(
     name="geograph",
@@ -222,3 +223,4 @@ def compare(
 
 
 app.command()(bound)
+app.command()(track)
