@@ -145,7 +145,8 @@ class LivePicture:
         plane = plane_at(points[len(points) // 2], self._recording.frame)
         flat = plane.project(points)
         sensors = {name: plane.project(place) for name, place in places.items()}
-        unit = length_unit(extent(np.concatenate([flat, np.array(list(sensors.values()))])))
+        whole = extent(np.concatenate([flat, np.array(list(sensors.values()))]))
+        unit = length_unit(whole)
         for index, (name, place) in enumerate(sensors.items()):
             style = look.sensor_look(index)
             ax.plot(*(place / unit.size), ls="none", mec="black", mew=0.6, **style)
@@ -160,20 +161,22 @@ class LivePicture:
         if self._position:
             ax.plot(*flat.T / unit.size, color=look.PATH, lw=1.5, label="newest positions")
             ax.plot(*flat[-1] / unit.size, "o", ms=5, color=look.PATH)
-            self._draw_ellipse(ax, plane, flat, unit.size)
+            self._draw_ellipse(ax, plane, flat[-1], whole=whole, unit=unit.size)
             ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.1), ncols=2)
         ax.set_xlabel(f"{plane.across} ({unit.name})")
         ax.set_ylabel(f"{plane.along} ({unit.name})")
         ax.set_aspect("equal", adjustable="datalim")
         ax.margins(0.1)
 
-    def _draw_ellipse(self, ax: Axes, plane: Plane, flat: NDArray[np.float64], unit: float) -> None:
+    def _draw_ellipse(
+        self, ax: Axes, plane: Plane, centre: NDArray[np.float64], *, whole: float, unit: float
+    ) -> None:
         assert self._newest is not None
         covariance = np.asarray(self._newest.covariance)[None, :3, :3]
         outline = look.ellipse_outline(plane.covariance(covariance))
-        factor = look.magnification(outline, extent(flat))
+        factor = look.magnification(outline, whole)
         label = "95 % ellipse" + (f", drawn {factor:.0f} times larger" if factor > 1.0 else "")
-        ax.plot(*(flat[-1] + factor * outline[0]).T / unit, color=look.BAND, label=label)
+        ax.plot(*(centre + factor * outline[0]).T / unit, color=look.ALARM, lw=1.2, label=label)
 
     def _draw_spread(self, ax: Axes) -> None:
         ax.set_title("semi-axes of the newest 95 % ellipsoid")
@@ -187,13 +190,16 @@ class LivePicture:
         ):
             ax.plot(self._time, column / unit.size, color=colour, label=name)
         ax.set_yscale("log")
+        # Plain numbers: the style draws no formulas.
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter("")
         ax.set_ylabel(f"({unit.name})")
         ax.legend(loc="upper right", ncols=3)
 
 
 def _draw_errors(ax: Axes, estimate: Estimate) -> None:
     """Draw the sensors' errors over their prior sigmas, with 95 % bars."""
-    ax.set_title("sensor errors over their prior sigmas, with 95 % bars")
+    ax.set_title("sensor errors over prior sigmas, 95 %")
     rows = [
         (f"{sensor} {state.replace('_', ' ')}", found)
         for sensor, states in estimate.sensor_errors.items()
