@@ -29,6 +29,13 @@ class StandInEstimate:
     message: str
     frame: str = "local"
     sensor_errors: dict[str, Any] = field(default_factory=dict)
+    used: int = 0
+    waiting: tuple[Any, ...] = ()
+    rejected: tuple[Any, ...] = ()
+    late: tuple[Any, ...] = ()
+    rejected_count: int = 0
+    late_count: int = 0
+    duplicate_count: int = 0
 
 
 class StandInEngine:
@@ -87,5 +94,6 @@ class StandInEngine:
             covariance,
             "tracking",
             "",
+            used=len(self.rows),
             sensor_errors=self._errors,
         )

@@ -6,6 +6,7 @@ import json
 import random
 import re
 from collections import Counter
+from dataclasses import replace
 from threading import Event
 from types import SimpleNamespace
 
@@ -231,3 +232,29 @@ def test_a_stop_uses_what_was_taken_from_a_pipe_and_leaves_the_rest_of_a_file(nu
         assert given.wait(30.0)
         intake.stop()
     assert count == (1 if numbered else 10)
+
+
+def test_late_and_rejected_measurements_are_named_once():
+    class Judging(StandInEngine):
+        def update(self, measurements):
+            found = super().update(measurements)
+            late = ("bearings of A at 0.1 s, line 3",) if self.updates == 2 else ()
+            rejected = ("bearings of B at 0.2 s, line 4",) if self.updates in (2, 3) else ()
+            self.estimate = replace(found, late=late, rejected=rejected)
+            return self.estimate
+
+    rng, reports = random.Random(1), []
+    session = Session(
+        engine=Judging(RECORDING),
+        assembler=Assembler(SENSORS, 3e8),
+        output=Lines(),
+        report=reports.append,
+    )
+    lines = [json.dumps(bearing(rng, float(time))).encode() for time in range(4)]
+    for batch in Intake(ListSource(lines), every_s=1.0, on_error=pytest.fail).batches():
+        session.take(batch)
+    session.finish()
+    assert reports == [
+        "bearings of A at 0.1 s, line 3: came later than the lag allows and is not used",
+        "bearings of B at 0.2 s, line 4: does not fit what came after it and is not used",
+    ]

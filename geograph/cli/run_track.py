@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import sys
 import threading
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geograph.cli import NOT_CONVERGED, OK
+from geograph.cli import BROKEN_PIPE, NOT_CONVERGED, OK
 from geograph.errors import InputError
 
 if TYPE_CHECKING:
@@ -97,9 +98,15 @@ def run_track(request: Request) -> int:
         with _signals(intake.stop) as received:
             if journal is not None:
                 _resume(session, journal, request)
-            for batch in intake.batches():
-                session.take(batch)
-            estimate = session.finish()
+            try:
+                for batch in intake.batches():
+                    session.take(batch)
+                estimate = session.finish()
+            except BrokenPipeError:
+                # Whoever read the lines has gone. Typer would end with 1; the interpreter must not
+                # try to flush them again.
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                return BROKEN_PIPE
             if picture is not None:
                 picture.draw()
             status = _end(session, estimate, request, recording)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -46,6 +46,34 @@ class Estimate(Protocol):
     @property
     def sensor_errors(self) -> Mapping[str, Mapping[str, SensorEstimate]]:
         """Errors of every sensor, by state."""
+
+    @property
+    def used(self) -> int:
+        """Measurements that count."""
+
+    @property
+    def waiting(self) -> Sequence[object]:
+        """Names of those that do not fit and wait for later ones to judge them."""
+
+    @property
+    def rejected(self) -> Sequence[object]:
+        """Names of those that later ones spoke against."""
+
+    @property
+    def late(self) -> Sequence[object]:
+        """Names of those of the last update that came after the lag."""
+
+    @property
+    def rejected_count(self) -> int:
+        """Rejected in all."""
+
+    @property
+    def late_count(self) -> int:
+        """Late in all."""
+
+    @property
+    def duplicate_count(self) -> int:
+        """How many came again, in all."""
 
 
 class Engine(Protocol):

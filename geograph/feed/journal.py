@@ -1,9 +1,10 @@
 """The journal: measurements on disk before they are used, so that nothing is lost (docs/live.md).
 
-A text file, one record a line: eight hexadecimal digits, the CRC-32 of the rest, then JSON. The
-first record says of which configuration it is; each other holds the rows of one update. A record is
-appended and forced to disk before the engine sees its rows, so that a process killed at any moment
-leaves whole records and at most one that is torn, whose rows nobody has used.
+A text file, one record a line: the CRC-32 of its JSON as eight hexadecimal digits, the length of
+the JSON in bytes, and the JSON. The first record says of which configuration it is; each other
+holds the rows of one update. A record is appended and forced to disk before the engine sees its
+rows, so that a process killed at any moment leaves whole records and at most one that is torn,
+whose rows nobody has used.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ class Journal:
             self._end = 0
             self.resumed = self._read(header)
             if not self._end:
-                self._append({"journal": _NAME, "format": FORMAT_VERSION, **header})
+                self._append(_header(header))
                 _sync_folder(path)
         except BaseException:
             os.close(self._descriptor)
@@ -113,8 +114,7 @@ class Journal:
         os.close(self._descriptor)
 
     def _append(self, value: Mapping[str, Any]) -> None:
-        text = json.dumps(value, ensure_ascii=False, separators=(",", ":")).encode()
-        record = memoryview(b"%08x " % zlib.crc32(text) + text + b"\n")
+        record = memoryview(_record(value))
         try:
             written = 0
             while written < len(record):
@@ -145,7 +145,7 @@ class Journal:
         records, end = self._records(content)
         if records:
             self._check_header(records[0], header)
-        elif content and not _torn_header(content):
+        elif not _record(_header(header)).startswith(content):
             raise InputError(
                 "is not a journal of geograph and is not overwritten; name another",
                 path=self._path,
@@ -163,11 +163,10 @@ class Journal:
         for number, line in enumerate(content.splitlines(keepends=True), start=1):
             value = _value(line)
             if value is None:
-                rest = content[end + len(line) :]
-                if any(_value(later) is not None for later in rest.splitlines(keepends=True)):
+                if records and not _may_be_torn(content[end:]):
                     raise InputError(
-                        "is damaged, and there are whole records after it; expected a journal as "
-                        "it was written; bring back a copy of it, or begin another",
+                        "is damaged, and more stands behind it; expected a journal as it was "
+                        "written; bring back a copy of it, or begin another",
                         path=self._path,
                         line=number,
                     )
@@ -190,16 +189,33 @@ class Journal:
                 )
 
 
-def _torn_header(content: bytes) -> bool:
-    """Whether this may be the beginning of a journal's first record."""
-    expected = b' {"journal":"' + _NAME.encode()
-    return b"\n" not in content and (content[8:].startswith(expected) or len(content) <= 8)
+def _header(facts: Mapping[str, str]) -> dict[str, Any]:
+    return {"journal": _NAME, "format": FORMAT_VERSION, **facts}
+
+
+def _record(value: Mapping[str, Any]) -> bytes:
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":")).encode()
+    return b"%08x %d " % (zlib.crc32(text), len(text)) + text + b"\n"
+
+
+def _may_be_torn(tail: bytes) -> bool:
+    """Whether what follows the whole records is the beginning of one, or one never forced to disk.
+
+    A record that was used is followed by nothing or by another one, so that the end of a torn one
+    is the end of the file.
+    """
+    _, digits, text = (*tail.split(b" ", 2), b"", b"")[:3]
+    if digits.isdigit() and len(digits) <= 12:
+        return len(text) <= int(digits) + 1
+    return b"\n" not in tail[:-1]
 
 
 def _value(line: bytes) -> dict[str, Any] | None:
     """Return what a record holds, or None if it is not whole."""
-    digits, _, text = line.partition(b" ")
-    if not text.endswith(b"\n") or digits != b"%08x" % zlib.crc32(text[:-1]):
+    digits, length, text = (*line.split(b" ", 2), b"", b"")[:3]
+    if not text.endswith(b"\n") or length != b"%d" % (len(text) - 1):
+        return None
+    if digits != b"%08x" % zlib.crc32(text[:-1]):
         return None
     value = json.loads(text)
     return value if isinstance(value, dict) else None

@@ -38,7 +38,14 @@ def estimate_line(estimate: Estimate, *, update: int, final: bool = False) -> st
         facts["final"] = True
     if started(estimate):
         facts |= _knot(estimate)
-    facts["message"] = estimate.message
+    facts |= {
+        "message": estimate.message,
+        "used": estimate.used,
+        "waiting": len(estimate.waiting),
+        "rejected": estimate.rejected_count,
+        "late": estimate.late_count,
+        "duplicates": estimate.duplicate_count,
+    }
     facts["sensors"] = {
         sensor: {state: [found.estimate, found.sigma] for state, found in states.items()}
         for sensor, states in estimate.sensor_errors.items()

@@ -68,12 +68,14 @@ class Session:
     journal: Journal | None = None
     watch: Callable[[Estimate], None] | None = None
     counts: Counts = field(default_factory=Counts)
+    _rejected: frozenset[str] = frozenset()
 
     def resume(self, resumed: Resumed) -> None:
         """Make the updates of a journal again; what failed then fails again, without a report."""
         for number, batch in enumerate(resumed.batches, start=1):
             estimate = self._update(batch.rows, quiet=True)
             self.counts.updates = number
+            self._rejected = _names(estimate.rejected)
             last = number == len(resumed.batches)
             self.output.resume(estimate_line(estimate, update=number), number, last=last)
             if self.watch is not None:
@@ -114,6 +116,13 @@ class Session:
     def _put_out(self, estimate: Estimate, *, final: bool) -> None:
         line = estimate_line(estimate, update=self.counts.updates, final=final)
         self.output.write(line, self.counts.updates, final=final)
+        if not final:
+            for name in estimate.late:
+                self.report(f"{name}: came later than the lag allows and is not used")
+        rejected = _names(estimate.rejected)
+        for name in sorted(rejected - self._rejected):
+            self.report(f"{name}: does not fit what came after it and is not used")
+        self._rejected = rejected
         if self.watch is not None:
             self.watch(estimate)
 
@@ -135,6 +144,10 @@ class Session:
             return self.engine.estimate
         self.counts.used += len(rows)
         return estimate
+
+
+def _names(rows: Sequence[object]) -> frozenset[str]:
+    return frozenset(str(row) for row in rows)
 
 
 def _at(row: Row, error: Exception) -> InputError:
