@@ -169,6 +169,11 @@ class SensorFamily(Family):
     path_noise_m_s: NDArray[np.float64]
     """Shape (n,): what position and velocity may deviate by between knots; for :meth:`refresh`."""
 
+    @property
+    @abstractmethod
+    def emitted_s(self) -> NDArray[np.float64]:
+        """Shape (n,): times of emission as the last evaluation found them."""
+
     @abstractmethod
     def squares(self, found: Evaluation) -> NDArray[np.float64]:
         """Return squared whitened residuals, shape (n,), the weights for correlation taken out."""

@@ -334,6 +334,11 @@ class BearingFamily(SensorFamily):
             by_position[:, :, 1] = sine * by_sight[:, :, 0] + cosine * by_sight[:, :, 1]
         return by_channel, state.chain(place, by_position, None)
 
+    @property
+    def emitted_s(self) -> NDArray[np.float64]:
+        """Shape (n,): times of emission as the last evaluation found them."""
+        return self.time_s if self._place is None else self._place[1].time_s
+
     def squares(self, found: Evaluation) -> NDArray[np.float64]:
         """Return squared whitened residuals, shape (n,), the weights for correlation taken out.
 

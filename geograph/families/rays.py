@@ -343,6 +343,11 @@ class RayFamily(SensorFamily):
             extra.append(length * noise)
         self._whiten(extra)
 
+    @property
+    def emitted_s(self) -> NDArray[np.float64]:
+        """Shape (n,): times of emission as the last evaluation found them."""
+        return self.time_s if self._emitted is None else self._emitted
+
     def squares(self, found: Evaluation) -> NDArray[np.float64]:
         """Return squared whitened residuals, shape (n,), as large as if nothing was shared.
 
