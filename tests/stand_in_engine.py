@@ -36,6 +36,7 @@ class StandInEstimate:
     rejected_count: int = 0
     late_count: int = 0
     duplicate_count: int = 0
+    rebuilt: int = 0
 
 
 class StandInEngine:

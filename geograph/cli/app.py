@@ -149,7 +149,8 @@ def convert(
         typer.Argument(
             metavar="IN... OUT",
             help="Fireball files (GFE ECSV, one for each camera) or folders of them, or one "
-            "recording; then the folder or .zip to write.",
+            "recording; then the folder or .zip to write, or the .jsonl file of its measurements "
+            "as a feed.",
         ),
     ],
     *,
@@ -180,7 +181,7 @@ def convert(
         bool, typer.Option("--overwrite", help="Replace an older recording.")
     ] = False,
 ) -> None:
-    """Convert fireball files to a recording, or a recording to other tables."""
+    """Convert fireball files to a recording, or a recording to other tables or to a feed."""
     from geograph.cli.run_convert import run_convert
 
     run_convert(

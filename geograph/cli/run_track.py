@@ -224,10 +224,13 @@ def _session(
 
 
 def _engine(recording: Recording, request: Request) -> Engine:
-    from geograph import IncrementalSmoother
+    import logging
 
-    engine: Engine = IncrementalSmoother.of(recording, lag=request.lag_s, **request.changes)
-    return engine
+    from geograph.incremental.smoother import IncrementalSmoother
+
+    # What it recovers from by itself is counted in every line, and not told on top of it.
+    logging.getLogger("geograph.incremental").addHandler(logging.NullHandler())
+    return IncrementalSmoother.of(recording, lag=request.lag_s, **request.changes)
 
 
 def _picture(request: Request, recording: Recording) -> LivePicture | None:

@@ -75,6 +75,10 @@ class Estimate(Protocol):
     def duplicate_count(self) -> int:
         """How many came again, in all."""
 
+    @property
+    def rebuilt(self) -> int:
+        """How often the engine had to make its linear system anew."""
+
 
 class Engine(Protocol):
     """An incremental smoother, whose updates succeed or leave it as it was."""

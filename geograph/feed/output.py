@@ -45,6 +45,7 @@ def estimate_line(estimate: Estimate, *, update: int, final: bool = False) -> st
         "rejected": estimate.rejected_count,
         "late": estimate.late_count,
         "duplicates": estimate.duplicate_count,
+        "rebuilt": estimate.rebuilt,
     }
     facts["sensors"] = {
         sensor: {state: [found.estimate, found.sigma] for state, found in states.items()}

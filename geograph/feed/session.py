@@ -103,7 +103,11 @@ class Session:
 
     def finish(self) -> Estimate:
         """Use what still waits in the engine, and put out the last estimate."""
-        estimate = self.engine.finish()
+        try:
+            estimate = self.engine.finish()
+        except GeographError as error:
+            self.report(f"the last look at what waited failed: {error}")
+            estimate = self.engine.estimate
         if self.counts.updates:
             self._put_out(estimate, final=True)
         return estimate
