@@ -169,6 +169,10 @@ class SensorFamily(Family):
     path_noise_m_s: NDArray[np.float64]
     """Shape (n,): what position and velocity may deviate by between knots; for :meth:`refresh`."""
 
+    @abstractmethod
+    def expect_delays(self, delay_s: NDArray[np.float64]) -> None:
+        """Start the next evaluation from delays of the signals, shape (n,), seconds."""
+
     @property
     @abstractmethod
     def emitted_s(self) -> NDArray[np.float64]:

@@ -343,6 +343,10 @@ class RayFamily(SensorFamily):
             extra.append(length * noise)
         self._whiten(extra)
 
+    def expect_delays(self, delay_s: NDArray[np.float64]) -> None:
+        """Start the next evaluation from delays of the signals, shape (n,), seconds."""
+        self._delays[-1] = delay_s
+
     @property
     def emitted_s(self) -> NDArray[np.float64]:
         """Shape (n,): times of emission as the last evaluation found them."""

@@ -31,7 +31,7 @@ TOLERANCE = 0.02
 """Posterior sigmas by which what is not linear may put an estimate off."""
 
 # Rows that the curvature is taken from: the newest, where the object is.
-_ROWS = 48
+_ROWS = 32
 
 # A step is no smaller than what rounding leaves of a second difference.
 _LEAST_STEP = 1e-3
@@ -89,10 +89,11 @@ def limits(model: Model, chain: Chain, total_rows: int) -> Limits:
     rows, low = _newest(chain)
     path = model.motion.path(np.array(chain.knots_s[low:]))
     values = chain.values(low, len(chain.knots_s) - 1)
+    families = list(model.families(rows))
     allowed = TOLERANCE / np.sqrt(max(total_rows, 1))
 
     def residual(at: Values) -> NDArray[np.float64]:
-        found = model.evaluate(rows, path, at, low)
+        found = model.evaluate_families(families, path, at, low, jacobian=False)
         return np.concatenate([_weighted(model, part) for part in found] or [np.zeros(1)])
 
     here = residual(values)

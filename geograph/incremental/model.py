@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,13 +116,13 @@ class Model:
     active: frozenset[int] = frozenset()
     timed: bool = False
 
-    @property
+    @cached_property
     def layout(self) -> ColumnLayout:
         """Columns of the pieces' blocks."""
         states = self.prepared.states
         return ColumnLayout(3 * self.motion.order, states.chains, states.size, chained=True)
 
-    @property
+    @cached_property
     def refreshed(self) -> bool:
         """Whether families hold anything fixed that depends on the estimate."""
         states = self.prepared.states
@@ -131,9 +132,13 @@ class Model:
         )
         return self.between or noisy or states.chains > 0
 
+    @cached_property
+    def _correlation(self) -> NDArray[np.float64]:
+        return np.array([sensor.correlation for sensor in self.prepared.sensors])
+
     def correlation_weights(self, kind: str, sensor: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return weights of correlated errors; see :func:`geograph.prepare.correlation_weights`."""
-        rho = np.array([s.correlation for s in self.prepared.sensors])
+        rho = self._correlation
         if kind not in self.counts or not rho.any():
             return np.ones(sensor.size)
         count = np.maximum(self.counts[kind], 1)
@@ -147,7 +152,11 @@ class Model:
             if kind == "bearings":
                 table = without_refraction(table, prepared.sensors)  # type: ignore[arg-type]
             weight = self.correlation_weights(kind, table.sensor)
-            return prepared.family(table, weight, median_carrier_hz=self.carrier_hz)
+            family = prepared.family(table, weight, median_carrier_hz=self.carrier_hz)
+            order = getattr(family, "order", None)
+            delay = columns["delay_s"]
+            family.expect_delays(delay if order is None else delay[order])
+            return family
         if kind == FIXES:
             raise KeyError(kind)
         return _WHOLE[kind](
@@ -197,15 +206,28 @@ class Model:
         loss
             In place of the model's.
         """
-        state = path.at_state(values.path, jacobian=True)
+        return self.evaluate_families(list(self.families(rows)), path, values, first, loss=loss)
+
+    def evaluate_families(
+        self,
+        families: Iterable[tuple[str, Columns, Family]],
+        path: Path,
+        values: Values,
+        first: int,
+        *,
+        loss: Loss | None = None,
+        jacobian: bool = True,
+    ) -> list[Measured]:
+        """Evaluate families made before; see :meth:`evaluate`."""
+        state = path.at_state(values.path, jacobian=jacobian)
         result = []
-        for kind, columns, family in self.families(rows):
+        for kind, columns, family in families:
             if self.refreshed:
                 self.refresh(family, path, values)
             order = getattr(family, "order", None)
             if order is None:
                 order = np.arange(len(family))
-            found = family.evaluate(path, state, values, jacobian=True)
+            found = family.evaluate(path, state, values, jacobian=jacobian)
             kept = columns["kept"][order].astype(np.float64)
             found = settled(found, None if kept.all() else kept, loss or self.loss)
             interval = np.empty_like(found.interval)

@@ -49,12 +49,17 @@ def emission_times(model: Model, chain: Chain, kind: str, columns: Columns) -> N
     if not np.isfinite(speed):
         return received
     place = prepared.geometry.motion(heard, received).position_m
-    emitted = received - np.linalg.norm(chain.path[-1][:3] - place, axis=1) / speed
-    if speed < _SLOW_M_S:
+    last = chain.path[-1]
+    at = last[:3]
+    if last.size > 3:
+        at = at + (received - chain.knots_s[-1])[:, None] * last[3:6]
+    emitted = received - np.linalg.norm(at - place, axis=1) / speed
+    if speed < _SLOW_M_S or received.min() < chain.knots_s[-1] - 8.0 * model.spacing_s:
         path, values = model.motion.path(np.array(chain.knots_s)), np.array(chain.path)
         for _ in range(_ROUNDS):
             at = model.motion.read(path, values, emitted)[:, :3]
             emitted = received - np.linalg.norm(at - place, axis=1) / speed
+    columns["delay_s"] = received - emitted
     return np.asarray(emitted)
 
 

@@ -1,8 +1,8 @@
 """Measurements as they are held: columns by kind, each row with a number of its own.
 
 Every kind is a dictionary of columns of equal length. Beside those of its table a row has ``ident``
-(a number of its own), ``kept`` (whether it counts) and ``judged`` (whether what came later has been
-asked about one that does not count).
+(a number of its own), ``kept`` (whether it counts), ``judged`` (whether what came later has been
+asked about one that does not count) and ``delay_s`` (about how long its signal took).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ TABLES: Final[dict[str, type]] = {
 CONSTRAINTS: Final = ("altitude_m", "speed_m_s")
 FIXES: Final = "fixes"
 
-_OWN: Final = ("ident", "kept", "judged")
+_OWN: Final = ("ident", "kept", "judged", "delay_s")
 _NAMES = {table: name for name, table in TABLES.items()}
 _FIELDS = {
     name: tuple(entry.name for entry in fields(table) if entry.name != "emission_names")
@@ -168,6 +168,7 @@ def numbered(columns: Columns, first: int) -> Columns:
         "ident": np.arange(first, first + size),
         "kept": np.ones(size, dtype=bool),
         "judged": np.zeros(size, dtype=bool),
+        "delay_s": np.zeros(size),
     }
 
 

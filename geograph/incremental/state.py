@@ -256,6 +256,7 @@ def advance(state: State, rows: Rows) -> None:
     """
     model, chain = state.running
     rows = _with_fixes(state, rows)
+    rows = {kind: dict(columns) for kind, columns in rows.items()}
     times = {kind: emission_times(model, chain, kind, c) for kind, c in rows.items()}
     rows, times = _without_late(state, rows, times)
     if not rows:
@@ -391,7 +392,8 @@ def check(state: State) -> None:
 def look_over(state: State) -> None:
     """Weigh again what depends on how much there is, choose outliers, and renew the limits."""
     model, chain = state.running
-    state.limits = limits(model, chain, state.total_rows)
+    if state.limits is None:
+        state.limits = limits(model, chain, state.total_rows)
     if _weights_changed(state):
         _weigh_again(state)
     check(state)
