@@ -44,8 +44,9 @@ def begin(words):
     if child:
         return child
     null = os.open(os.devnull, os.O_RDWR)
-    for stream in (0, 1, 2):
+    for stream in (0, 1):
         os.dup2(null, stream)
+    os.dup2(os.open(f"{words[-1]}.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
     status = 70
     try:
         status = main(["track", *words])
@@ -114,7 +115,8 @@ def run(arguments):
             kills += sum(
                 killed_once(command, rng.uniform(0.0, took)) for _ in range(rng.randrange(1, 4))
             )
-        assert wait(begin(command)) == 0
+        status = wait(begin(command))
+        assert status == 0, f"status {status}: {Path(f'{journal}.log').read_text()}"
         numbers = journalled(journal)
         assert numbers == wanted, f"{len(numbers)} rows in the journal, expected {len(wanted)}"
         ours, theirs = out.read_bytes(), whole.read_bytes()

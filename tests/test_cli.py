@@ -23,7 +23,7 @@ from geograph.errors import SolveError
 from geograph.plot import PICTURES
 from geograph.recording import LossName, MotionName, SmoothSettings
 
-COMMANDS = ("smooth", "bound", "example", "convert", "plot", "compare")
+COMMANDS = ("smooth", "bound", "example", "convert", "plot", "compare", "track")
 
 
 def run(*arguments, **options):
