@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -269,7 +269,14 @@ def _end(session: Session, estimate: Estimate, request: Request, recording: Reco
         from geograph.results.write import save
 
         results = from_track(session.engine.track(), command=request.command)
-        save(results, request.results)
+        # The engine knows of measurements alone.
+        named = replace(
+            results,
+            name=recording.name,
+            truth=recording.truth,
+            summary=results.summary | {"name": recording.name},
+        )
+        save(named, request.results)
     counts = session.counts
     text = (
         f"{recording.name}: {estimate.status} after {counts.updates} updates with {counts.used} "
