@@ -136,8 +136,8 @@ def read(
         table.
     """
     known = (*TABLES.values(), Constraints)
-    tables: Iterable[Any]
-    tables = [measurements] if isinstance(measurements, known) else measurements
+    tables: list[Any]
+    tables = [measurements] if isinstance(measurements, known) else [*measurements]  # type: ignore[misc]
     parts: list[Rows] = []
     for table in tables:
         if not isinstance(table, known):
