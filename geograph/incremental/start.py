@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from geograph.rivals import Attempt
 
 
-# Predicted decrease of the cost that a solve may leave: within 0.03 posterior sigmas of the minimum.
+# Predicted decrease of the cost that a solve may leave: 0.03 posterior sigmas from the minimum.
 _CLOSE_ENOUGH = 5e-4
 
 
@@ -158,12 +158,7 @@ def fixes_between(model: Model, low: float, high: float) -> Rows:
 
 
 def make_model(
-    template: Recording,
-    smoother: Smoother,
-    recording: Recording,
-    rows: Rows,
-    whole: Rows,
-    spacing_s: float,
+    template: Recording, smoother: Smoother, rows: Rows, whole: Rows, *, spacing_s: float
 ) -> Model:
     """Return the model of a solved batch, with the states of all sensors that may yet measure."""
     problem, prepared = smoother.problem, smoother.prepared

@@ -366,7 +366,7 @@ def _admit(state: State, doubtful: set[int]) -> None:
 
 def _keep_up(state: State) -> None:
     """Bring all estimates up to date from time to time, and look everything over; drop the old."""
-    model, chain = state.running
+    _, chain = state.running
     assert state.limits is not None
     knots = len(chain.knots_s) + chain.gone
     held = len(chain.knots_s)
