@@ -101,6 +101,8 @@ class Chain:
         Shape (s + 1, s + 1): what is known of the constants alone (a shift in time, held).
     gone
         Intervals that were dropped.
+    dirty
+        The first piece that changed since the last elimination.
     """
 
     scale: NDArray[np.float64]
@@ -120,6 +122,7 @@ class Chain:
     spread: list[NDArray[np.float64]] = field(default_factory=list)
     final: Final | None = None
     gone: int = 0
+    dirty: int = 0
 
     def copy(self) -> Chain:
         """Return a chain whose lists may be changed without changing this one's."""
@@ -157,14 +160,19 @@ class Chain:
         self.path[k] = self.reference_path[k] + offset[:m] * self.scale[:m]
         self.chains[k] = self.reference_chains[k] + offset[m:]
 
-    def eliminate(self, first: int) -> None:
-        """Eliminate all pieces from ``first`` on again.
+    def changed(self, first: int) -> None:
+        """Note that pieces from ``first`` on are to be eliminated again."""
+        self.dirty = min(self.dirty, first)
+
+    def eliminate(self) -> None:
+        """Eliminate all pieces from the first one that changed.
 
         Raises
         ------
         NotPositiveDefiniteError
             If what is held does not determine the newest knot.
         """
+        first = self.dirty
         pieces = self.pieces[first:]
         del self.forward[first + 1 :], self.other[first + 1 :]
         del self.back[first:], self.spread[first:]
@@ -189,6 +197,7 @@ class Chain:
                 self.back.extend(row.copy() for row in found.back)
                 self.spread.extend(row.copy() for row in found.spread)
         self.final = self._finish()
+        self.dirty = len(self.pieces)
 
     def _finish(self) -> Final:
         d = self.knot_size
@@ -252,3 +261,4 @@ class Chain:
                      "forward", "other", "back", "spread"):  # fmt: skip
             del getattr(self, name)[:count]
         self.gone += count
+        self.dirty = max(self.dirty - count, 0)

@@ -2,12 +2,12 @@
 
 Let e be the change of all whitened residuals beyond their linear part. The estimate of the linear
 system is then off by P J'e, which is at most |e| of its own posterior sigmas, in any direction,
-because J P J' <= 1. So |e| is held below a small part of a sigma: each of n scalar rows may be off by
-that over sqrt(n). Moving every unknown of one kind by h changes a residual by r(h) + r(-h) - 2 r(0)
-beyond its linear part, twice e; e grows with the square of h. That gives the distance for each kind.
-The step h is the posterior sigma of the kind, so that it is the curvature where the estimate may
-yet go that counts. With a loss, residuals are those of the weighted least squares: their weights
-follow the estimate, too.
+because J P J' <= 1. So |e| is held below a small part of a sigma: each of n scalar rows may be
+off by that over sqrt(n). Moving every unknown of one kind by h changes a residual by r(h) + r(-h)
+- 2 r(0) beyond its linear part, twice e; e grows with the square of h. That gives the distance
+for each kind. The step h is the posterior sigma of the kind, so that it is the curvature where
+the estimate may yet go that counts. With a loss, residuals are those of the weighted least
+squares: their weights follow the estimate, too.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Which measurements count: gross outliers wait, and are admitted or rejected by what comes later.
 
 A measurement that the estimate does not predict is tried against it: with innovation r, derivatives
-J and the covariance P of the unknowns without it, d^2 = r'(1 + J P J')^-1 r. The limits are those of
-the batch (:mod:`geograph.robust`), and so is the choice among all that is held, made again as the
-pass grows.
+J and the covariance P of the unknowns without it, d^2 = r'(1 + J P J')^-1 r. The limits are those
+of the batch (:mod:`geograph.robust`), and so is the choice among all that is held, made again as
+the pass grows.
 """
 
 from __future__ import annotations

@@ -40,7 +40,17 @@ _SLACK = 0.05
 
 
 class SpanError(ArithmeticError):
-    """Signals were emitted beyond the knots: knots must be put anew."""
+    """Signals were emitted beyond the knots: knots must be put anew.
+
+    Parameters
+    ----------
+    low_s, high_s
+        Between which times.
+    """
+
+    def __init__(self, low_s: float, high_s: float) -> None:
+        self.low_s, self.high_s = low_s, high_s
+        super().__init__(f"signals were emitted from {low_s:.10g} to {high_s:.10g} s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +144,7 @@ class Model:
 
     @cached_property
     def _correlation(self) -> NDArray[np.float64]:
-        return np.array([sensor.correlation for sensor in self.prepared.sensors])
+        return np.array([float(sensor.correlation) for sensor in self.prepared.sensors])
 
     def correlation_weights(self, kind: str, sensor: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return weights of correlated errors; see :func:`geograph.prepare.correlation_weights`."""
@@ -282,13 +292,14 @@ class Model:
 
     def _check_span(self, chain: Chain, measured: list[Measured]) -> None:
         slack = _SLACK * self.spacing_s
-        for part in measured:
-            if not isinstance(part.family, SensorFamily):
-                continue
-            times = part.family.emitted_s
-            early = times < chain.knots_s[0] - slack
-            if (times > chain.knots_s[-1] + slack).any() or (early.any() and not chain.gone):
-                raise SpanError
+        families = [part.family for part in measured if isinstance(part.family, SensorFamily)]
+        if not families:
+            return
+        low = min(float(family.emitted_s.min()) for family in families)
+        high = max(float(family.emitted_s.max()) for family in families)
+        early = low < chain.knots_s[0] - slack and not chain.gone
+        if early or high > chain.knots_s[-1] + slack:
+            raise SpanError(low, high)
 
     def _add(self, blocks: NDArray[np.float64], part: Measured) -> None:
         square = np.einsum("ij,ij->i", part.found.residual, part.found.residual)
@@ -326,7 +337,7 @@ class Model:
         for family in self.whole_families(times if k == 0 and not chain.gone else times[1:]):
             found = family.evaluate(path, state, values, jacobian=True)
             BlockSum(self.layout, self.path_scale).add(block, found, None)
-        return block[0]
+        return np.asarray(block[0])
 
     def _store(
         self,
@@ -336,6 +347,7 @@ class Model:
         measured: list[Measured],
     ) -> None:
         """Write the pieces about the chain's reference."""
+        chain.changed(order[0])
         inverse, root, noise = self._transitions(chain, order)
         parts = _divided(measured, order)
         lead = chain.constants - chain.reference

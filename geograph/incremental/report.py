@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geograph.eliminate import Factorisation
-from geograph.incremental.rows import TABLES
+from geograph.incremental.rows import FIXES, TABLES, numbered_table
 from geograph.incremental.start import problem_of, recording_of
-from geograph.problem import Problem
+from geograph.measurements import Bearings
+from geograph.prepare import without_refraction
 from geograph.report import make_track
 from geograph.smoother import Smoother
 from geograph.solver import Solution, Status
@@ -23,7 +24,10 @@ if TYPE_CHECKING:
 
     from geograph.eliminate import LinearSystem
     from geograph.incremental.chain import Chain
+    from geograph.incremental.model import Model
+    from geograph.incremental.rows import Rows
     from geograph.incremental.state import State
+    from geograph.problem import Problem
     from geograph.sweep import Marginals
     from geograph.track import Track
 
@@ -107,18 +111,19 @@ def held_track(state: State) -> Track:
     rest alone.
     """
     model, chain = state.running
-    held = {kind: c for kind, c in state.rows().items() if kind != "fixes"}
+    held = {kind: c for kind, c in state.rows().items() if kind != FIXES}
     recording = recording_of(state.template, held, state.whole)
     prepared = replace(
         model.prepared,
         recording=recording,
-        bearings=_bearings(state, model, held),
+        bearings=_bearings(model, held),
     )
     smoother = Smoother(prepared, state.settings)
-    problem, values = problem_of(model, chain)
+    values = chain.values(0, len(chain.knots_s) - 1)
+    problem = problem_of(model, np.array(chain.knots_s), state.rows())
     families = prepared.families(problem.knots_s)
-    weights = []
-    rejected = []
+    weights: list[NDArray[np.float64] | None] = []
+    rejected: list[NDArray[np.bool_]] = []
     for family in families:
         if family.name not in TABLES:
             weights.append(None)
@@ -147,11 +152,10 @@ def held_track(state: State) -> Track:
     return make_track(smoother, seconds=0.0)
 
 
-def _bearings(state: State, model, held):  # type: ignore[no-untyped-def]
-    from geograph.incremental.rows import numbered_table
-    from geograph.prepare import without_refraction
-
-    del state
+def _bearings(model: Model, held: Rows) -> Bearings | None:
+    """Return the bearings that are held, free of refraction."""
     if "bearings" not in held:
         return None
-    return without_refraction(numbered_table("bearings", held["bearings"]), model.prepared.sensors)
+    table = numbered_table("bearings", held["bearings"])
+    assert isinstance(table, Bearings)
+    return without_refraction(table, model.prepared.sensors)

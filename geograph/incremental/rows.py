@@ -136,8 +136,8 @@ def read(
         table.
     """
     known = (*TABLES.values(), Constraints)
-    tables: Iterable[Any]
-    tables = [measurements] if isinstance(measurements, known) else measurements
+    tables: list[Any]
+    tables = [measurements] if isinstance(measurements, known) else [*measurements]  # type: ignore[misc]
     parts: list[Rows] = []
     for table in tables:
         if not isinstance(table, known):
@@ -145,9 +145,10 @@ def read(
                 f"update was given {type(table).__name__}; expected tables: Bearings, Arrivals, "
                 "TimeDifferences, FrequencyDifferences or Constraints"
             )
-        if len(table):
+        given: Any = table
+        if len(given):
             part = (
-                _constraints(table) if isinstance(table, Constraints) else _table(table, emission)
+                _constraints(given) if isinstance(given, Constraints) else _table(given, emission)
             )
             for kind, columns in part.items():
                 _check(kind, columns, sensors)

@@ -16,6 +16,7 @@ import numpy as np
 from geograph.constants import SPEED_OF_LIGHT_M_S
 from geograph.errors import GeographError, InputError, UpdateError
 from geograph.incremental.estimate import Estimate, Tracking
+from geograph.incremental.model import SpanError
 from geograph.incremental.report import held_track, newest
 from geograph.incremental.rows import count, join, keys, read
 from geograph.incremental.start import NotStartedError
@@ -26,6 +27,7 @@ from geograph.incremental.state import (
     collect,
     finished,
     look_over,
+    renew,
     restart,
     row_names,
     without_duplicates,
@@ -45,6 +47,8 @@ if TYPE_CHECKING:
     from geograph.track import Track
 
 _log = logging.getLogger("geograph.incremental")
+
+_TRIES = 4
 
 EngineName = Literal["structured", "isam2"]
 
@@ -227,25 +231,39 @@ class IncrementalSmoother:
 
     def _advance(self, state: State, rows: Rows) -> State:
         """Use rows; where the linear system does not bear them, make it anew."""
-        attempt = state.copy()
-        try:
-            advance(attempt, rows)
-        except (ArithmeticError, np.linalg.LinAlgError) as error:
-            if not isinstance(error, ArithmeticError | np.linalg.LinAlgError):
-                raise
-            reason = f"{type(error).__name__}: {error}"
-        else:
-            return attempt
-        state.rebuilt += 1
+        reason = ""
+        reach = None
+        for _ in range(_TRIES):
+            attempt = state.copy()
+            attempt.reach_s = reach
+            try:
+                advance(attempt, rows)
+            except SpanError as error:
+                # A clock moved, and with it the newest emission.
+                reason, reach = str(error), error.high_s
+            except (ArithmeticError, np.linalg.LinAlgError) as error:
+                reason = f"{type(error).__name__}: {error}"
+                break
+            else:
+                return attempt
+        return self._rebuilt(state, rows, reason)
+
+    def _rebuilt(self, state: State, rows: Rows, reason: str) -> State:
+        """Make the linear system anew, from the estimate or from a first guess."""
         _log.warning("the linear system is made anew (%s)", reason)
-        try:
-            restart(state, rows)
-        except NotStartedError as error:
-            raise UpdateError(
-                f"the measurements do not go with what is held ({reason}), and there is no new "
-                f"start with them ({error}); none of them was used"
-            ) from error
-        return state
+        for way in (renew, restart):
+            attempt = state.copy()
+            attempt.rebuilt += 1
+            try:
+                way(attempt, rows)
+            except (ArithmeticError, np.linalg.LinAlgError, NotStartedError) as error:
+                reason = f"{reason}; {type(error).__name__}: {error}"
+            else:
+                return attempt
+        raise UpdateError(
+            "the measurements do not go with what is held, and there is no new start with them; "
+            f"none of them was used ({reason})"
+        )
 
     def _commit(
         self,
@@ -295,7 +313,7 @@ class IncrementalSmoother:
             raise FloatingPointError("the estimate is not finite")
         return Estimate(
             status=Tracking.TRACKING,
-            message=_message(state, len(waiting)),
+            message=_message(len(waiting)),
             time_s=chain.knots_s[-1],
             state=chain.path[-1],
             covariance=path,
@@ -342,7 +360,7 @@ class IncrementalSmoother:
             raise UpdateError(f"finish failed ({type(error).__name__}: {error})") from error
 
 
-def _message(state: State, waiting: int) -> str:
+def _message(waiting: int) -> str:
     if waiting:
         return f"tracking; {waiting} measurements do not fit and wait for others to judge them"
     return "tracking"

@@ -22,6 +22,7 @@ from geograph.incremental.start import (
     begin,
     fixes_between,
     held_shift,
+    stretched,
     with_rows,
 )
 from geograph.robust import plain_limits
@@ -102,6 +103,7 @@ class State:
     checked: int = 0
     reviewed: int = 0
     rebuilt: int = 0
+    reach_s: float | None = None
     duplicates: int = 0
     late: int = 0
     newly_duplicate: Rows = field(default_factory=dict)
@@ -117,6 +119,7 @@ class State:
             chain=None if self.chain is None else self.chain.copy(),
             out=dict(self.out),
             names=dict(self.names),
+            reach_s=None,
             newly_duplicate={},
             newly_late={},
             dropped=[],
@@ -170,7 +173,7 @@ def _take(state: State, started: Started) -> None:
     """Go on from a start."""
     state.model, state.chain = started.model, started.chain
     state.attempts, state.resolution = started.attempts, started.resolution
-    state.started_with = count(state.rows())
+    state.started_with = state.total
     recount(state)
     state.out, state.names = {}, {}
     for kind, columns in state.rows().items():
@@ -262,8 +265,22 @@ def advance(state: State, rows: Rows) -> None:
     if not rows:
         return
     _count(state, rows)
+    if _due(state):
+        restart(state, rows)
+        state.rebuilt += 1
+        return
+    every = np.sort(np.concatenate(list(times.values())))
+    if state.reach_s is not None:
+        every = np.append(every, max(state.reach_s, float(every[-1])))
     before = len(chain.knots_s)
-    touched = make_room(model, chain, np.sort(np.concatenate(list(times.values()))))
+    if every[0] < chain.knots_s[0] and not chain.gone:
+        chain.solve_all()
+        high = max(float(every[-1]), chain.knots_s[-1])
+        respan(state, rows, float(every[0]), high)
+        recount(state)
+        look_over(state)
+        return
+    touched = make_room(model, chain, every)
     for k, part in assign(chain, rows, times).items():
         chain.pieces[k] = replace(chain.pieces[k], rows=join([chain.pieces[k].rows, part]))
         touched.add(k)
@@ -273,6 +290,18 @@ def advance(state: State, rows: Rows) -> None:
     if fresh > _MANY_KNOTS and not chain.gone:
         resolve(state)
     _keep_up(state)
+
+
+def _due(state: State) -> bool:
+    """Tell whether the start is to be made again, with twice the measurements.
+
+    The process noise may have to be found, and the first guess may have had several ways.
+    """
+    model, chain = state.running
+    automatic = state.settings.process_noise == "auto" and not model.motion.static
+    if chain.gone or not (automatic or len(state.attempts) > 1):
+        return False
+    return state.total >= 2 * state.started_with
 
 
 def _count(state: State, rows: Rows) -> None:
@@ -290,31 +319,30 @@ def _use(state: State, touched: set[int], new: set[int]) -> None:
     model, chain = state.running
     assert state.limits is not None
     measured = model.linearise(chain, sorted(touched))
-    first = min(touched)
     doubtful: set[int] = set()
     if state.robust:
         doubtful = suspects(measured, new, state.total)
         if doubtful:
             touched = touched | mark(state, doubtful, kept=False, judged=False)
             model.linearise(chain, sorted(touched))
-    first = min(touched)
-    _solve_from(state, first)
+    _solve_on(state)
     if doubtful:
         _admit(state, doubtful)
 
 
-def _solve_from(state: State, first: int) -> None:
-    """Eliminate from a piece on; linearise again what moved too far from there."""
+def _solve_on(state: State) -> None:
+    """Eliminate what changed; linearise again what moved too far from there."""
     model, chain = state.running
     assert state.limits is not None
     for _ in range(_ROUNDS):
-        chain.eliminate(first)
+        first = chain.dirty
+        chain.eliminate()
         chain.solve(len(chain.knots_s) - first)
         moved = state.limits.moved(chain, first)
         if not moved:
             return
         model.linearise(chain, moved)
-        first = min(moved)
+    chain.eliminate()
 
 
 def _admit(state: State, doubtful: set[int]) -> None:
@@ -322,9 +350,9 @@ def _admit(state: State, doubtful: set[int]) -> None:
     model, chain = state.running
     pieces = mark(state, doubtful, kept=False, judged=False)
     measured = model.linearise(chain, sorted(pieces))
-    chain.eliminate(min(pieces))
+    chain.eliminate()
     found = innovations(model, chain, measured, doubtful)
-    limit = {}
+    limit: dict[int, float] = {}
     for part in measured:
         if isinstance(part.family, SensorFamily):
             own = plain_limits(state.total, part.family.row_counts)
@@ -333,12 +361,12 @@ def _admit(state: State, doubtful: set[int]) -> None:
     if good:
         changed = mark(state, good, kept=True, judged=False)
         model.linearise(chain, sorted(changed))
-        _solve_from(state, min(changed))
+        _solve_on(state)
 
 
 def _keep_up(state: State) -> None:
     """Bring all estimates up to date from time to time, and look everything over; drop the old."""
-    model, chain = state.running
+    _, chain = state.running
     assert state.limits is not None
     knots = len(chain.knots_s) + chain.gone
     held = len(chain.knots_s)
@@ -385,7 +413,7 @@ def check(state: State) -> None:
         if not moved:
             break
         model.linearise(chain, moved)
-        chain.eliminate(min(moved))
+        chain.eliminate()
     state.checked = len(chain.knots_s) + chain.gone
 
 
@@ -416,7 +444,7 @@ def _weigh_again(state: State) -> None:
     model, chain = state.running
     state.model = replace(model, knots=len(chain.knots_s) + chain.gone)
     state.model.linearise(chain, range(len(chain.pieces)))
-    chain.eliminate(0)
+    chain.eliminate()
 
 
 def _choose(state: State) -> None:
@@ -437,7 +465,7 @@ def _choose(state: State) -> None:
         if reject:
             changed |= mark(state, reject, kept=False, judged=True)
         model.linearise(chain, sorted(changed))
-        chain.eliminate(min(changed))
+        chain.eliminate()
         check(state)
 
 
@@ -453,14 +481,63 @@ def resolve(state: State) -> None:
     model, chain = state.running
     if chain.gone:
         model.linearise(chain, range(len(chain.pieces)))
-        chain.eliminate(0)
+        chain.eliminate()
         check(state)
         return
     chain.solve_all()
-    model = replace(model, knots=len(chain.knots_s))
-    state.model = model
-    state.chain, _ = again(model, chain, max_iterations=state.settings.max_iterations)
-    state.checked = len(state.chain.knots_s)
+    respan(state, {}, chain.knots_s[0], chain.knots_s[-1])
+
+
+def respan(state: State, rows: Rows, low_s: float, high_s: float) -> None:
+    """Solve for all that is held and new rows, over knots that reach far enough.
+
+    Parameters
+    ----------
+    state
+        Nothing was dropped from it yet; changed in place.
+    rows
+        New ones.
+    low_s, high_s
+        First and last time of emission.
+
+    Raises
+    ------
+    SpanError, FloatingPointError, NotPositiveDefiniteError
+        If there is no solution from here.
+    """
+    model, chain = state.running
+    held, every = chain, join([state.rows(), rows])
+    for attempt in range(_ROUNDS):
+        knots, values = stretched(model, held, low_s, high_s)
+        try:
+            state.chain = again(model, knots, values, every, limit=state.settings.max_iterations)
+            break
+        except SpanError as error:
+            if attempt == _ROUNDS - 1:
+                raise
+            low_s, high_s = min(low_s, error.low_s), max(high_s, error.high_s)
+    state.model = replace(model, knots=knots.size)
+    state.checked = knots.size
+
+
+def renew(state: State, rows: Rows) -> None:
+    """Solve for everything that is held and new rows once more, from the estimate.
+
+    Raises
+    ------
+    FloatingPointError
+        If old measurements have left already, whose prior is bound to the linear system.
+    """
+    model, chain = state.running
+    if chain.gone:
+        raise FloatingPointError("the linear system holds the prior of what left the lag")
+    rows = {kind: dict(c) for kind, c in _with_fixes(state, rows).items()}
+    times = [emission_times(model, chain, kind, c) for kind, c in rows.items()]
+    every = np.concatenate([*times, chain.knots_s])
+    _count(state, rows)
+    respan(state, rows, float(every.min()), float(every.max()))
+    recount(state)
+    look_over(state)
 
 
 def restart(state: State, rows: Rows) -> None:
@@ -484,8 +561,8 @@ def finished(state: State) -> None:
     model, chain = state.running
     automatic = state.settings.process_noise == "auto" and not model.motion.static
     several = len(state.attempts) > 1
-    grown = count(state.rows()) > 1.1 * state.started_with
-    if not chain.gone and grown and (automatic or several):
+    doubtful = state.robust and bool(state.out)
+    if not chain.gone and state.total > state.started_with and (automatic or several or doubtful):
         restart(state, {})
         return
     resolve(state)
@@ -526,10 +603,8 @@ def _without_late(
     _, chain = state.running
     first = chain.knots_s[0]
     early = {kind: time < first for kind, time in times.items()}
-    if not any(mask.any() for mask in early.values()):
+    if not chain.gone or not any(mask.any() for mask in early.values()):
         return rows, times
-    if not chain.gone:
-        raise SpanError
     state.newly_late = {k: c for k, c in choose(rows, early).items() if k != FIXES}
     state.late += count(state.newly_late)
     keep = {kind: ~mask for kind, mask in early.items()}
