@@ -93,8 +93,10 @@ def innovations(
             weight = np.ones(ident.size) if common.weight is None else common.weight
             pull = common.sums((weight * common.by_common)[:, None] * rows[:, 0])
             hold = common.sums(weight * common.by_common**2) + common.information
-            hold = np.maximum(hold, 1e-300)[common.group]
-            rows = rows - ((common.by_common / hold)[:, None] * pull[common.group])[:, None]
+            # Where no row of a group counts, nothing is said of its unknown.
+            inverse = np.divide(1.0, hold, out=np.zeros_like(hold), where=hold > 0.0)
+            share = (common.by_common * inverse[common.group])[:, None] * pull[common.group]
+            rows = rows - share[:, None]
             own = np.maximum(1.0 - common.leverage(), 1e-6)
         interval = part.interval[part.order]
         for index in chosen.tolist():

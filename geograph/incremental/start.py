@@ -14,6 +14,7 @@ from geograph.incremental.model import Model
 from geograph.incremental.rows import CONSTRAINTS, FIXES, TABLES, join, numbered, numbered_table
 from geograph.knots import NEGLIGIBLE, automatic_spacing, ignored_share
 from geograph.measurements import Constraints
+from geograph.motion import Density, Motion
 from geograph.prepare import prepare
 from geograph.problem import Problem
 from geograph.report import make_track
@@ -35,6 +36,10 @@ if TYPE_CHECKING:
 
 # Predicted decrease of the cost that a solve may leave: 0.03 posterior sigmas from the minimum.
 _CLOSE_ENOUGH = 5e-4
+
+
+# Below so many different times nothing is known of how close knots must be.
+_FEWEST_TIMES = 4
 
 
 class NotStartedError(Exception):
@@ -107,11 +112,14 @@ def begin(
         prepared = prepare(recording)
     except InputError as error:
         raise NotStartedError(error.reason) from error
+    _enough(recording, settings)
     smoother = Smoother(prepared, settings)
     try:
-        smoother.run()
-        track = make_track(smoother, seconds=0.0)
-    except (ArithmeticError, ValueError, np.linalg.LinAlgError, IndexError) as error:
+        # Of a few measurements anything may overflow; what comes of it is judged by its status.
+        with np.errstate(all="ignore"):
+            smoother.run()
+            track = make_track(smoother, seconds=0.0)
+    except (ArithmeticError, ValueError, IndexError, MemoryError) as error:
         raise NotStartedError(f"no first guess yet ({error})") from error
     status = track.status
     if status is not Status.CONVERGED and (strict or smoother.solution.elimination is None):
@@ -137,6 +145,22 @@ def begin(
     fixes = fixes_between(model, *recording.time_span_s)
     chain = make_chain(model, knots, values, join([rows, fixes]) if fixes else rows)
     return Started(model, chain, smoother.attempts, smoother._resolution)
+
+
+def _enough(recording: Recording, settings: SmoothSettings) -> None:
+    """Refuse measurements that cannot determine a path, whatever they are."""
+    order = Motion(settings.motion, Density.of(1.0), recording.frame).order
+    scalars = sum(
+        2 * len(table) if name == "bearings" else len(table)
+        for name, table in recording.tables.items()
+    )
+    times = np.unique(np.concatenate([table.time_s for table in recording.tables.values()])).size
+    fewest = 1 if settings.motion == "static" else _FEWEST_TIMES
+    if scalars < 3 * order or times < fewest:
+        raise NotStartedError(
+            f"{scalars} measured values at {times} times; a {settings.motion} path needs at least "
+            f"{3 * order} at {fewest} times"
+        )
 
 
 def fixes_between(model: Model, low: float, high: float) -> Rows:

@@ -54,6 +54,9 @@ _CHECK_PART = 0.1
 
 _ROUNDS = 8
 
+# Share of the measurements that do not fit, at which a new first guess is made.
+_CONTRADICTED = 0.1
+
 # An update that brings so many knots is solved like a batch.
 _MANY_KNOTS = 12
 
@@ -299,9 +302,13 @@ def _due(state: State) -> bool:
     """
     model, chain = state.running
     automatic = state.settings.process_noise == "auto" and not model.motion.static
-    if chain.gone or not (automatic or len(state.attempts) > 1):
+    if chain.gone:
         return False
-    return state.total >= 2 * state.started_with
+    # Where a tenth does not fit, it may be the path that is wrong.
+    contradicted = state.robust and len(state.out) > max(3.0, _CONTRADICTED * state.total)
+    if contradicted and state.total >= _PATIENCE * state.started_with:
+        return True
+    return (automatic or len(state.attempts) > 1) and state.total >= 2 * state.started_with
 
 
 def _count(state: State, rows: Rows) -> None:
