@@ -19,8 +19,17 @@ if TYPE_CHECKING:
     from geograph.bound_grid import BoundMap, bound_map
     from geograph.bounds import PathBound, bound
     from geograph.ellipsoids import Ellipsoids
-    from geograph.errors import GeographError, InputError, SolveError
+    from geograph.errors import GeographError, InputError, SolveError, UpdateError
     from geograph.graph import GtsamGraph, build
+    from geograph.incremental.estimate import Estimate, RowName, Tracking
+    from geograph.incremental.motion import (
+        Ballistic,
+        ConstantAcceleration,
+        ConstantPosition,
+        ConstantVelocity,
+        Static,
+    )
+    from geograph.incremental.smoother import IncrementalSmoother
     from geograph.io import read, write
     from geograph.measurements import (
         Arrivals,
@@ -41,28 +50,38 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Arrivals",
+    "Ballistic",
     "Bearings",
     "BoundMap",
+    "ConstantAcceleration",
+    "ConstantPosition",
+    "ConstantVelocity",
     "Constraints",
     "Ellipsoids",
+    "Estimate",
     "FrequencyDifferences",
     "GeographError",
     "GtsamGraph",
+    "IncrementalSmoother",
     "InputError",
     "PathBound",
     "Recording",
+    "RowName",
     "Sensor",
     "SensorErrors",
     "SensorEstimate",
     "Signal",
     "SmoothSettings",
     "SolveError",
+    "Static",
     "Status",
     "TimeDifferences",
     "Track",
     "TrackPoints",
+    "Tracking",
     "Trajectory",
     "Truth",
+    "UpdateError",
     "__version__",
     "bound",
     "bound_map",
@@ -76,28 +95,38 @@ __all__ = [
 # nor the help of a command needs them.
 _HOMES = {
     "Arrivals": "geograph.measurements",
+    "Ballistic": "geograph.incremental.motion",
     "Bearings": "geograph.measurements",
     "BoundMap": "geograph.bound_grid",
+    "ConstantAcceleration": "geograph.incremental.motion",
+    "ConstantPosition": "geograph.incremental.motion",
+    "ConstantVelocity": "geograph.incremental.motion",
     "Constraints": "geograph.measurements",
     "Ellipsoids": "geograph.ellipsoids",
+    "Estimate": "geograph.incremental.estimate",
     "FrequencyDifferences": "geograph.measurements",
     "GeographError": "geograph.errors",
     "GtsamGraph": "geograph.graph",
+    "IncrementalSmoother": "geograph.incremental.smoother",
     "InputError": "geograph.errors",
     "PathBound": "geograph.bounds",
     "Recording": "geograph.recording",
+    "RowName": "geograph.incremental.estimate",
     "Sensor": "geograph.sensors",
     "SensorErrors": "geograph.sensors",
     "SensorEstimate": "geograph.track",
     "Signal": "geograph.signal",
     "SmoothSettings": "geograph.recording",
     "SolveError": "geograph.errors",
+    "Static": "geograph.incremental.motion",
     "Status": "geograph.solver",
     "TimeDifferences": "geograph.measurements",
     "Track": "geograph.track",
     "TrackPoints": "geograph.track",
+    "Tracking": "geograph.incremental.estimate",
     "Trajectory": "geograph.sensors",
     "Truth": "geograph.measurements",
+    "UpdateError": "geograph.errors",
     "bound": "geograph.bounds",
     "bound_map": "geograph.bound_grid",
     "build": "geograph.graph",

@@ -10,7 +10,7 @@ whose last column is the gradient. Only the layout of the rows knows the sparsit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -222,6 +222,27 @@ class BlockSum:
         start = np.flatnonzero(np.diff(group, prepend=-1))
         local = np.cumsum(np.diff(group, prepend=-1) != 0) - 1
         project(dense, by_common, local, start, common.information[group[start]])
+
+
+def dense_rows(
+    found: Evaluation, layout: ColumnLayout, path_scale: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the rows of a few measurements, shape (n, r, width), in their own order.
+
+    Parameters
+    ----------
+    found
+        An evaluation with derivatives.
+    layout
+        Columns of the rows.
+    path_scale
+        Shape (3m,): scales of the path's components, SI.
+    """
+    # Every measurement an interval of its own: passes keep their order.
+    apart = replace(found, interval=np.arange(found.interval.size), common=None)
+    rows = BlockSum(layout, path_scale)
+    rows._plan(apart)
+    return np.concatenate([rows._fill(part, apart, None).copy() for part in rows._passes])
 
 
 def _bounds(count: int, held: int, group: NDArray[np.int64] | None) -> Iterator[tuple[int, int]]:

@@ -21,12 +21,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import lapack
 
+from geograph.sweep import Marginals, NotPositiveDefiniteError, chain_marginals, sweep
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-
-class NotPositiveDefiniteError(ArithmeticError):
-    """The linear system does not determine all unknowns to working precision."""
+__all__ = [
+    "Elimination",
+    "Factorisation",
+    "LinearSystem",
+    "Marginals",
+    "NotPositiveDefiniteError",
+    "Step",
+    "response",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,28 +119,6 @@ class Step:
     decrease: float
 
 
-@dataclass(frozen=True, eq=False)
-class Marginals:
-    """Marginal covariances of all unknowns, scaled.
-
-    Attributes
-    ----------
-    knots
-        Shape (K, d, d).
-    neighbours
-        Shape (K - 1, d, d): covariance of each knot with the following one.
-    knot_constants
-        Shape (K, d, s): covariance of each knot with the constant states.
-    constants
-        Shape (s, s).
-    """
-
-    knots: NDArray[np.float64]
-    neighbours: NDArray[np.float64]
-    knot_constants: NDArray[np.float64]
-    constants: NDArray[np.float64]
-
-
 class Factorisation(ABC):
     """What a factorisation of the chain gives: steps, covariances, determinant.
 
@@ -199,35 +185,12 @@ class Factorisation(ABC):
         return -0.5 * slope + 0.5 * self.damping * squares
 
     def marginals(self) -> Marginals:
-        """Return all marginal covariances by one backward pass over the factorisation.
-
-        The pass carries the covariance V of a knot if the constants were known, and the derivative
-        G of its mean by the constants, so that only positive terms are added: the covariance is
-        V + G S G^T, with S that of the constants.
-        """
+        """Return all marginal covariances; see :func:`chain_marginals`."""
         d = self.system.knot_size
-        count = self.system.knots - 1
-        inverse, _ = lapack.dtrtri(self._final_root, lower=1)
-        by_knot, by_constants = inverse[:d, :d], inverse[d:, d:]
-        constants = by_constants.T @ by_constants
-        known = np.empty((count + 1, d, d))
-        slope = np.empty((count + 1, d, constants.shape[0]))
-        known[count] = by_knot.T @ by_knot
-        slope[count] = -by_knot.T @ self._final_root[d:, :d].T
-        if count:
-            scatter = self._spread @ np.swapaxes(self._spread, 1, 2)
-            for k in range(count - 1, -1, -1):
-                by_next = self._back[k, :, :d]
-                known[k] = by_next @ known[k + 1] @ by_next.T + scatter[k]
-                slope[k] = by_next @ slope[k + 1] + self._back[k, :, d:-1]
-        cross = slope @ constants
-        knots = known + cross @ np.swapaxes(slope, 1, 2)
-        knots = 0.5 * (knots + np.swapaxes(knots, 1, 2))
-        neighbours = np.empty((count, d, d))
-        if count:
-            by_next, by_known = self._back[:, :, :d], self._back[:, :, d:-1]
-            neighbours = by_next @ knots[1:] + by_known @ np.swapaxes(cross[1:], 1, 2)
-        return Marginals(knots, neighbours, cross, constants)
+        if self.system.knots > 1:
+            return chain_marginals(self._back, self._spread, self._final_root)
+        none = np.empty((0, d, self._final_root.shape[0] + 1)), np.empty((0, d, d))
+        return chain_marginals(*none, self._final_root)
 
     @abstractmethod
     def half_log_determinant(self) -> float:
@@ -255,9 +218,7 @@ class Elimination(Factorisation):
         self.damping = damping
         d = system.knot_size
         constants = system.constants
-        # x[k] = A x[k+1] - B w.
         self._a = system.inverse_transition
-        self._b = system.inverse_transition @ system.noise_root
         # Rows of the current knot, and of the constants and the gradient, over (knot, constants,
         # gradient).
         knot = np.zeros((d, d + constants.size + 1))
@@ -266,7 +227,21 @@ class Elimination(Factorisation):
         other = np.eye(constants.size + 1)
         other[:-1, -1] = other[-1, :-1] = constants
         if system.knots > 1:
-            knot, other = self._sweep(knot, other)
+            blocks = system.blocks
+            if damping:
+                index = np.arange(d)
+                blocks = blocks.copy()
+                blocks[:, index, index] += damping
+            found = sweep(
+                knot,
+                blocks=blocks,
+                inverse_transition=self._a,
+                noise_root=system.noise_root,
+                noise_residual=system.noise_residual,
+            )
+            knot, other = found.knots[-1], other + found.shares.sum(axis=0)
+            self._inverse_roots, self._gain = found.inverse_roots, found.gain
+            self._back, self._spread = found.back, found.spread
         else:
             knot = knot + system.blocks[0, :d]
             other = other + system.blocks[0, d:, d:]
@@ -277,58 +252,6 @@ class Elimination(Factorisation):
             raise NotPositiveDefiniteError
         self._final_root = root
         self._final_gradient = np.concatenate([knot[:, -1], other[:-1, -1]])
-
-    def _sweep(
-        self, knot: NDArray[np.float64], other: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Eliminate the noise of every interval; turn the first knot's rows into the last one's."""
-        d = self.system.knot_size
-        turn = np.concatenate([-self._b, self._a], axis=2)
-        rows = self._turned_rows(turn)
-        count, _, width = rows.shape
-        self._inverse_roots = np.empty((count, d, d))
-        rests = np.empty((count, d, width - d))
-        before = np.empty((d, width))
-        for k, (row, by) in enumerate(zip(rows, turn, strict=True)):
-            # The knot's information, with x[k] written through w and x[k+1].
-            np.matmul(knot[:, :d], by, out=before[:, : 2 * d])
-            before[:, 2 * d :] = knot[:, d:]
-            now = row + by.T @ before
-            root, fault = lapack.dpotrf(now[:d, :d], lower=1, clean=1)
-            if fault:
-                raise NotPositiveDefiniteError
-            inverse, _ = lapack.dtrtri(root, lower=1)
-            rest = np.matmul(inverse, now[:d, d:], out=rests[k])
-            self._inverse_roots[k] = inverse
-            knot = now[d:, d:] - rest[:, :d].T @ rest
-        beyond = rests[:, :, d:]
-        share = self.system.blocks[:, 2 * d :, 2 * d :] - np.swapaxes(beyond, 1, 2) @ beyond
-        # w = -gain (x[k+1], constants, 1), and x[k] = back (x[k+1], constants, 1).
-        self._gain = np.swapaxes(self._inverse_roots, 1, 2) @ rests
-        self._spread = self._b @ np.swapaxes(self._inverse_roots, 1, 2)
-        self._back = self._b @ self._gain
-        self._back[:, :, :d] += self._a
-        return knot, other + share.sum(axis=0)
-
-    def _turned_rows(self, turn: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what measurements and noise add to the rows of (w, x[k+1]), for all intervals."""
-        system = self.system
-        d = system.knot_size
-        blocks = system.blocks
-        index = np.arange(d)
-        if self.damping:
-            blocks = blocks[:, : 2 * d].copy()
-            blocks[:, index, index] += self.damping
-        first = np.swapaxes(turn, 1, 2) @ blocks[:, :d]
-        # Columns of x[k] become columns of (w, x[k+1]).
-        rows = np.concatenate([first[:, :, :d] @ turn, first[:, :, 2 * d :]], axis=2)
-        cross = first[:, :, d : 2 * d]
-        rows[:, :, d : 2 * d] += cross
-        rows[:, d:, : 2 * d] += np.swapaxes(cross, 1, 2)
-        rows[:, d:, d:] += blocks[:, d : 2 * d, d:]
-        rows[:, index, index] += 1.0
-        rows[:, index, -1] += system.noise_residual
-        return rows
 
     def _noise(
         self, knots: NDArray[np.float64], constants: NDArray[np.float64]

@@ -48,6 +48,16 @@ class InputError(GeographError, ValueError):
         super().__init__(f"{where}: {self.reason}" if where else self.reason)
 
 
+class UpdateError(InputError):
+    """An update of an incremental smoother could not be made; the smoother is as it was before.
+
+    Parameters
+    ----------
+    message, path, line, column
+        As of :class:`InputError`.
+    """
+
+
 class SolveError(GeographError, RuntimeError):
     """The smoother ended without a usable answer.
 

@@ -27,7 +27,9 @@ from geograph.states import CLOCK
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.families import SensorFamily
     from geograph.motion import Motion
+    from geograph.path import Path
     from geograph.states import SensorStates
 
 NEGLIGIBLE = 0.01
@@ -116,6 +118,18 @@ def automatic_spacing(motion: Motion, states: SensorStates, resolution: Resoluti
     if motion.ballistic:
         spacing = min(spacing, BallisticPath.LONGEST_STEP_S)
     return spacing
+
+
+def add_path_noise(
+    family: SensorFamily, motion: Motion, path: Path, times_s: NDArray[np.float64]
+) -> None:
+    """Make noise to the sensors of what the path does between knots that are wide apart."""
+    place = path.locate(times_s)
+    between = conditional_covariance(motion.order, place.step_s, place.offset_s)
+    largest = motion.density.largest
+    family.path_noise_m = largest * np.sqrt(between[:, 0, 0])
+    if motion.order > 1:
+        family.path_noise_m_s = largest * np.sqrt(between[:, 1, 1])
 
 
 def place_knots(

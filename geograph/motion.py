@@ -195,8 +195,9 @@ class Motion:
         """
         if self.ballistic:
             return propagate(state, step_s, self.frame)
-        matrix = np.kron(transition(self.order, step_s), np.eye(3))
-        return np.matmul(matrix, state[:, :, None])[:, :, 0], np.asarray(matrix, dtype=np.float64)
+        eye = np.broadcast_to(np.eye(3), (step_s.size, 3, 3))
+        matrix = kron_stack(transition(self.order, step_s), eye)
+        return np.matmul(matrix, state[:, :, None])[:, :, 0], matrix
 
     def noise(self, state: NDArray[np.float64], step_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance that the noise adds over a step, shape (n, 3m, 3m), SI units."""

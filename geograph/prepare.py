@@ -75,46 +75,54 @@ class Prepared:
 
     def sensor_families(self) -> list[SensorFamily]:
         """Return fresh families of all that sensors measured."""
-        recording = self.recording
-        families: list[SensorFamily] = []
-        if self.bearings is not None:
-            families.append(
-                BearingFamily(
-                    self.bearings,
-                    geometry=self.geometry,
-                    states=self.states,
-                    walk_scale=self.walk_scale,
-                    speed_m_s=recording.propagation_speed_m_s,
-                    weight=correlation_weights(self.bearings, self.sensors),
-                    position_noise_m=self._position_noise(self.bearings.sensor),
-                )
-            )
-        world = World(self.geometry, self.states, self.walk_scale, recording.propagation_speed_m_s)
-        arrivals = recording.tables.get("arrivals")
-        if isinstance(arrivals, Arrivals):
-            families.append(
-                ArrivalFamily(
-                    arrivals,
-                    world=world,
-                    weight=correlation_weights(arrivals, self.sensors),
-                    position_noise_m=self._position_noise(arrivals.sensor),
-                )
-            )
-        families += [
-            self._differences(table, world)
-            for table in recording.tables.values()
-            if isinstance(table, (TimeDifferences, FrequencyDifferences))
-        ]
-        return families
+        tables: list[Measurements] = [] if self.bearings is None else [self.bearings]
+        named = self.recording.tables
+        tables += [table for name, table in named.items() if name != "bearings"]
+        return [self.family(table, correlation_weights(table, self.sensors)) for table in tables]
 
-    def _differences(
-        self, table: TimeDifferences | FrequencyDifferences, world: World
+    def family(
+        self,
+        table: Measurements,
+        weight: NDArray[np.float64],
+        *,
+        median_carrier_hz: float | None = None,
     ) -> SensorFamily:
-        weight = correlation_weights(table, self.sensors)
-        noise = self._position_noise(table.sensor), self._position_noise(table.reference)
+        """Return the family of a table of measurements.
+
+        Parameters
+        ----------
+        table
+            Bearings free of refraction, or any other.
+        weight
+            Shape (n,): weights of the information, for correlated errors.
+        median_carrier_hz
+            That of all frequency differences; None: the table's own.
+        """
+        noise = self._position_noise(table.sensor)
+        if isinstance(table, Bearings):
+            return BearingFamily(
+                table,
+                geometry=self.geometry,
+                states=self.states,
+                walk_scale=self.walk_scale,
+                speed_m_s=self.recording.propagation_speed_m_s,
+                weight=weight,
+                position_noise_m=noise,
+            )
+        speed = self.recording.propagation_speed_m_s
+        world = World(self.geometry, self.states, self.walk_scale, speed)
+        if isinstance(table, Arrivals):
+            return ArrivalFamily(table, world=world, weight=weight, position_noise_m=noise)
+        both = noise, self._position_noise(table.reference)
         if isinstance(table, TimeDifferences):
-            return TimeDifferenceFamily(table, world=world, weight=weight, position_noise_m=noise)
-        return FrequencyDifferenceFamily(table, world=world, weight=weight, position_noise_m=noise)
+            return TimeDifferenceFamily(table, world=world, weight=weight, position_noise_m=both)
+        return FrequencyDifferenceFamily(
+            table,
+            world=world,
+            weight=weight,
+            position_noise_m=both,
+            median_carrier_hz=median_carrier_hz,
+        )
 
     def _position_noise(self, sensor: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return white position errors; a platform's are those of its fixes."""

@@ -215,16 +215,7 @@ class Problem:
             return np.zeros((0, self.layout.knot))
         if path_residual is None:
             path_residual = self.motion.transitions(values.path, self.steps_s).residual
-        return np.concatenate([path_residual, self._chain_residual(values.walks)], axis=1)
-
-    def _chain_residual(self, chains: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return whitened residuals of the chains' transitions, shape (K - 1, w)."""
-        matrix, root = self._chains
-        gap = chains[1:] - np.matmul(matrix, chains[:-1, :, None])[:, :, 0]
-        quiet = np.einsum("kii->ki", root) == 0.0
-        # A platform without noise keeps to its line; whatever the gap, it is rounding.
-        solvable = root + np.where(quiet, 1.0, 0.0)[:, :, None] * np.eye(root.shape[1])
-        return np.where(quiet, 0.0, np.linalg.solve(solvable, gap[:, :, None])[:, :, 0])
+        return np.concatenate([path_residual, chain_noise(values.walks, *self._chains)], axis=1)
 
     def linearise(self, values: Values) -> LinearSystem:
         """Return the linear system of scaled increments at one point."""
@@ -304,6 +295,25 @@ class Problem:
         """Bring what families hold fixed during a solve up to date with an estimate."""
         for family in self.families:
             family.refresh(self.path, values)
+
+
+def chain_noise(
+    chains: NDArray[np.float64], matrix: NDArray[np.float64], root: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return whitened residuals of the transitions of walks and platforms, shape (K - 1, w).
+
+    Parameters
+    ----------
+    chains
+        Shape (K, w), scaled.
+    matrix, root
+        Transitions and noise roots, each shape (K - 1, w, w).
+    """
+    gap = chains[1:] - np.matmul(matrix, chains[:-1, :, None])[:, :, 0]
+    quiet = np.einsum("kii->ki", root) == 0.0
+    # A platform without noise keeps to its line; whatever the gap, it is rounding.
+    solvable = root + np.where(quiet, 1.0, 0.0)[:, :, None] * np.eye(root.shape[1])
+    return np.where(quiet, 0.0, np.linalg.solve(solvable, gap[:, :, None])[:, :, 0])
 
 
 def _inverse(matrices: NDArray[np.float64]) -> NDArray[np.float64]:

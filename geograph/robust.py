@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import gammainccinv
 from scipy.stats import chi2
 
 if TYPE_CHECKING:
@@ -48,9 +49,22 @@ def thresholds(
     group
         Shape (n,): sensor of each measurement.
     """
-    level = FALSE_ALARM / max(square.size, 1)
-    limit = chi2.isf(level, rows)
+    limit = plain_limits(square.size, rows)
     return np.asarray(limit * sensor_scales(square, rows, group)[group])
+
+
+def plain_limits(count: int, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the squared whitened residual at which one of ``count`` measurements is an outlier.
+
+    Parameters
+    ----------
+    count
+        Measurements in all.
+    rows
+        Shape (n,): residual rows of those that are judged.
+    """
+    # The upper quantile of chi-square.
+    return np.asarray(2.0 * gammainccinv(0.5 * rows, FALSE_ALARM / max(count, 1)))
 
 
 def sensor_scales(

@@ -16,9 +16,8 @@ from scipy.stats import chi2
 
 from geograph.culprits import other_culprits
 from geograph.errors import SolveError
-from geograph.factors.kinematics import conditional_covariance
 from geograph.families import SensorFamily, Values
-from geograph.knots import NEGLIGIBLE, ignored_share
+from geograph.knots import NEGLIGIBLE, add_path_noise, ignored_share
 from geograph.losses import Loss
 from geograph.motion import Density
 from geograph.prepare import Prepared, prepare
@@ -337,12 +336,7 @@ class Smoother:
             # Knots wider than the noise allows: what lies between them is noise to the sensors.
             for family in self.families:
                 _, times = family.emissions(self.problem.path, values)
-                place = self.problem.path.locate(times)
-                between = conditional_covariance(motion.order, place.step_s, place.offset_s)
-                largest = motion.density.largest
-                family.path_noise_m = largest * np.sqrt(between[:, 0, 0])
-                if motion.order > 1:
-                    family.path_noise_m_s = largest * np.sqrt(between[:, 1, 1])
+                add_path_noise(family, motion, self.problem.path, times)
         self.problem.refresh(values)
 
     def _settle(self) -> None:

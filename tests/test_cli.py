@@ -23,7 +23,7 @@ from geograph.errors import SolveError
 from geograph.plot import PICTURES
 from geograph.recording import LossName, MotionName, SmoothSettings
 
-COMMANDS = ("smooth", "bound", "example", "convert", "plot", "compare")
+COMMANDS = ("smooth", "bound", "example", "convert", "plot", "compare", "track")
 
 
 def run(*arguments, **options):
@@ -333,3 +333,17 @@ def test_help_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_convert_writes_a_feed(recording, tmp_path, capsys):
+    target = tmp_path / "feed.jsonl"
+    assert main(["convert", str(recording), str(target)]) == 0
+    assert capsys.readouterr().out == f"wrote {target}\n"
+    rows = [json.loads(line) for line in target.read_text().splitlines()]
+    assert len(rows) == 120
+    assert list(rows[0]) == ["time_s", "sensor", "azimuth_deg", "elevation_deg", "sigma_deg"]
+    assert main(["convert", str(recording), str(target)]) == 2
+    assert "is there already; give --overwrite" in capsys.readouterr().err
+    assert main(["convert", str(recording), str(recording), str(target), "--overwrite"]) == 2
+    assert "2 inputs; expected one recording" in capsys.readouterr().err
+    assert main(["convert", str(recording), str(target), "--overwrite"]) == 0

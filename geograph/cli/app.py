@@ -19,6 +19,7 @@ from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotati
     ProcessNoiseAlong,
     Spacing,
 )
+from geograph.cli.track_command import track
 
 app = typer.Typer(
     name="geograph",
@@ -148,7 +149,8 @@ def convert(
         typer.Argument(
             metavar="IN... OUT",
             help="Fireball files (GFE ECSV, one for each camera) or folders of them, or one "
-            "recording; then the folder or .zip to write.",
+            "recording; then the folder or .zip to write, or the .jsonl file of its measurements "
+            "as a feed.",
         ),
     ],
     *,
@@ -179,7 +181,7 @@ def convert(
         bool, typer.Option("--overwrite", help="Replace an older recording.")
     ] = False,
 ) -> None:
-    """Convert fireball files to a recording, or a recording to other tables."""
+    """Convert fireball files to a recording, or a recording to other tables or to a feed."""
     from geograph.cli.run_convert import run_convert
 
     run_convert(
@@ -231,3 +233,4 @@ def compare(
 
 
 app.command()(bound)
+app.command()(track)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from geograph.errors import InputError
-from geograph.io import convert
+from geograph.io import convert, read
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ def run_convert(
     Parameters
     ----------
     paths
-        Inputs and the output.
+        Inputs and the output: a recording, or the .jsonl file of a feed.
     options
         Values by the names of :func:`geograph.io.convert`, as given: ``VALUE`` for all cameras or
         ``CAMERA=VALUE`` for one, which then has that of its own.
@@ -40,8 +40,25 @@ def run_convert(
     """
     if len(paths) < 2:
         raise InputError("expected one input or more, and then what to write")
+    if paths[-1].suffix.lower() == ".jsonl":
+        _write_feed(paths, overwrite=overwrite)
+        return
     given = {name: per_camera(name, texts) for name, texts in options.items() if texts}
     convert(paths[:-1], paths[-1], tables=tables, overwrite=overwrite, **given)
+
+
+def _write_feed(paths: Sequence[Path], *, overwrite: bool) -> None:
+    """Write the measurements of a recording as the lines of a feed."""
+    from geograph.feed.replay import json_lines
+    from geograph.io.atomic import replacing_file
+
+    source, target = paths[0], paths[-1]
+    if len(paths) > 2:
+        raise InputError(f"{len(paths) - 1} inputs; expected one recording", path=paths[1])
+    if target.exists() and not overwrite:
+        raise InputError("is there already; give --overwrite, or name another", path=target)
+    with replacing_file(target) as draft, draft.open("w", encoding="utf-8") as file:
+        file.writelines(json_lines(read(source)))
 
 
 def per_camera(name: str, texts: Sequence[str]) -> float | dict[str, float]:

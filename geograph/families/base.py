@@ -170,6 +170,15 @@ class SensorFamily(Family):
     """Shape (n,): what position and velocity may deviate by between knots; for :meth:`refresh`."""
 
     @abstractmethod
+    def expect_delays(self, delay_s: NDArray[np.float64]) -> None:
+        """Start the next evaluation from delays of the signals, shape (n,), seconds."""
+
+    @property
+    @abstractmethod
+    def emitted_s(self) -> NDArray[np.float64]:
+        """Shape (n,): times of emission as the last evaluation found them."""
+
+    @abstractmethod
     def squares(self, found: Evaluation) -> NDArray[np.float64]:
         """Return squared whitened residuals, shape (n,), the weights for correlation taken out."""
 

@@ -334,6 +334,15 @@ class BearingFamily(SensorFamily):
             by_position[:, :, 1] = sine * by_sight[:, :, 0] + cosine * by_sight[:, :, 1]
         return by_channel, state.chain(place, by_position, None)
 
+    def expect_delays(self, delay_s: NDArray[np.float64]) -> None:
+        """Start the next evaluation from delays of the signals, shape (n,), seconds."""
+        self._light_time = delay_s
+
+    @property
+    def emitted_s(self) -> NDArray[np.float64]:
+        """Shape (n,): times of emission as the last evaluation found them."""
+        return self.time_s if self._place is None else self._place[1].time_s
+
     def squares(self, found: Evaluation) -> NDArray[np.float64]:
         """Return squared whitened residuals, shape (n,), the weights for correlation taken out.
 

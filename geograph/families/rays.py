@@ -343,6 +343,15 @@ class RayFamily(SensorFamily):
             extra.append(length * noise)
         self._whiten(extra)
 
+    def expect_delays(self, delay_s: NDArray[np.float64]) -> None:
+        """Start the next evaluation from delays of the signals, shape (n,), seconds."""
+        self._delays[-1] = delay_s
+
+    @property
+    def emitted_s(self) -> NDArray[np.float64]:
+        """Shape (n,): times of emission as the last evaluation found them."""
+        return self.time_s if self._emitted is None else self._emitted
+
     def squares(self, found: Evaluation) -> NDArray[np.float64]:
         """Return squared whitened residuals, shape (n,), as large as if nothing was shared.
 

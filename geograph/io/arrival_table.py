@@ -35,7 +35,7 @@ def valid_label(label: str) -> bool:
     return bool(label) and label.isprintable() and label == label.strip()
 
 
-def arrivals_of(table: Table, sensors: Mapping[str, Sensor]) -> Arrivals:
+def arrivals_of(table: Table, sensors: Mapping[str, Sensor], *, partial: bool = False) -> Arrivals:
     """Return what a table of arrivals holds; emissions are numbered as they first appear.
 
     Parameters
@@ -44,12 +44,14 @@ def arrivals_of(table: Table, sensors: Mapping[str, Sensor]) -> Arrivals:
         As read with :data:`ARRIVAL_COLUMNS`.
     sensors
         By name, in the order of their indices.
+    partial
+        Whether these are some of more rows, so that the others of an emission may be elsewhere.
 
     Raises
     ------
     InputError
         At the first cell that is wrong, at a sensor that is there twice in one emission, or if no
-        emission has two rows.
+        emission has two rows and the table is not partial.
     """
     label = table.texts["emission"]
     for code, value in enumerate(label.values):
@@ -68,7 +70,7 @@ def arrivals_of(table: Table, sensors: Mapping[str, Sensor]) -> Arrivals:
     _check_resolution(table, toa, sigma)
     check_covered(table, "toa_s", sensor, sensors)
     _check_once(table, label.codes, sensor, tuple(sensors))
-    if len(table) and np.bincount(label.codes).max() < 2:
+    if len(table) and not partial and np.bincount(label.codes).max() < 2:
         table.fail(
             0,
             "emission",

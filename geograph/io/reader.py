@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geograph.errors import InputError
+from geograph.io.constraint_table import CONSTRAINT_COLUMNS, constraints_of
 from geograph.io.document import Document
 from geograph.io.header import MIN_RADIUS_ECEF_M, Header, SensorEntry, read_header
 from geograph.io.measurement_tables import MEASUREMENT_COLUMNS, read_measurements
-from geograph.io.messages import expected_one_of, shown
+from geograph.io.messages import shown
 from geograph.io.sensor_columns import TIME
 from geograph.io.source import HEADER_NAME, Source, open_source
 from geograph.io.tables import (
     MAX_COORDINATE_M,
-    MAX_TIME_S,
     SUFFIXES,
     ColumnSpec,
     Kind,
@@ -24,7 +24,7 @@ from geograph.io.tables import (
     find_table,
     read_table,
 )
-from geograph.measurements import ConstraintKind, Constraints, Truth
+from geograph.measurements import Truth
 from geograph.recording import Recording
 from geograph.sensors import Sensor, Trajectory
 
@@ -33,20 +33,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from geograph.measurements import Constraints
     from geograph.recording import Frame
 
 TABLES = (*MEASUREMENT_COLUMNS, "constraints", "truth")
-LATER_CONSTRAINTS = ("height_above_terrain_m",)
 
 _POSITION = tuple(ColumnSpec(name, limit=MAX_COORDINATE_M) for name in ("x_m", "y_m", "z_m"))
 _VELOCITY = tuple(ColumnSpec(name, required=False) for name in ("vx_m_s", "vy_m_s", "vz_m_s"))
 
-CONSTRAINT_COLUMNS = (
-    ColumnSpec("time_s", may_be_empty=True, limit=MAX_TIME_S),
-    ColumnSpec("kind", Kind.TEXT),
-    ColumnSpec("value"),
-    ColumnSpec("sigma"),
-)
 TRUTH_COLUMNS = (TIME, *_POSITION, *_VELOCITY)
 TRAJECTORY_COLUMNS = (
     TIME,
@@ -90,6 +84,44 @@ def read(path: Path | str) -> Recording:
         If anything in the recording is wrong: the first thing found, in one line.
     """
     source = open_source(path)
+    document, header, setup = _read_setup(source)
+    _check_file_names(source, header)
+    measured = read_measurements(
+        source, document, setup.sensors, speed_m_s=header.propagation_speed_m_s
+    )
+    recording = replace(
+        setup,
+        bearings=measured.bearings,
+        arrivals=measured.arrivals,
+        time_differences=measured.time_differences,
+        frequency_differences=measured.frequency_differences,
+        constraints=_read_constraints(source),
+    )
+    return replace(recording, truth=_read_truth(source, recording.time_span_s))
+
+
+def read_setup(path: Path | str) -> Recording:
+    """Read a recording without its measurements: header and trajectories, for a live feed.
+
+    Parameters
+    ----------
+    path
+        Its folder, or a .zip archive of one. It may have tables, which are not read.
+
+    Returns
+    -------
+    Recording
+        Without a measurement.
+
+    Raises
+    ------
+    InputError
+        If anything in what is read is wrong: the first thing found, in one line.
+    """
+    return _read_setup(open_source(path))[2]
+
+
+def _read_setup(source: Source) -> tuple[Document, Header, Recording]:
     if not source.has(HEADER_NAME):
         raise InputError(
             f"no {HEADER_NAME} in it; expected a recording's folder, or a .zip of one",
@@ -98,28 +130,20 @@ def read(path: Path | str) -> Recording:
     header_place = source.place(HEADER_NAME)
     document = Document.parse(source.read_bytes(HEADER_NAME), header_place)
     header = read_header(document)
-    sensors = {
-        name: _read_sensor(source, document, entry, header.frame)
-        for name, entry in header.sensors.items()
-    }
-    _check_file_names(source, header)
-    measured = read_measurements(source, document, sensors, speed_m_s=header.propagation_speed_m_s)
     recording = Recording(
         name=source.name,
         frame=header.frame,
-        sensors=sensors,
-        bearings=measured.bearings,
-        arrivals=measured.arrivals,
-        time_differences=measured.time_differences,
-        frequency_differences=measured.frequency_differences,
-        constraints=_read_constraints(source),
+        sensors={
+            name: _read_sensor(source, document, entry, header.frame)
+            for name, entry in header.sensors.items()
+        },
         epoch=header.epoch,
         propagation_speed_m_s=header.propagation_speed_m_s,
         propagation_sigma_m_s=header.propagation_sigma_m_s,
         settings=header.settings,
         path=source.path,
     )
-    return replace(recording, truth=_read_truth(source, recording.time_span_s))
+    return document, header, recording
 
 
 def _check_file_names(source: Source, header: Header) -> None:
@@ -191,30 +215,7 @@ def _read_trajectory(source: Source, name: str, frame: Frame) -> Trajectory:
 
 def _read_constraints(source: Source) -> Constraints | None:
     name = find_table(source, "constraints")
-    if name is None:
-        return None
-    table = read_table(source, name, CONSTRAINT_COLUMNS)
-    kinds = table.texts["kind"]
-    for code, kind in enumerate(kinds.values):
-        if kind in get_args(ConstraintKind):
-            continue
-        row = int(np.argmax(kinds.codes == code))
-        if kind in LATER_CONSTRAINTS:
-            what = f"kind {kind} is not supported by this version of geograph yet"
-        else:
-            what = f"unknown kind {shown(kind)}" if kind else "empty cell"
-        table.fail(row, "kind", expected_one_of(kind, get_args(ConstraintKind)), given=what)
-    value, sigma = table.numbers["value"], table.numbers["sigma"]
-    table.check(sigma >= 1e-12, "sigma", "expected a sigma above 0 (at least 1e-12)")
-    speeds = np.array([kind == "speed_m_s" for kind in kinds.values])[kinds.codes]
-    table.check(~speeds | (value >= 0.0), "value", "expected a speed of at least 0 m/s")
-    return Constraints(
-        time_s=table.numbers["time_s"],
-        kind=tuple(cast("ConstraintKind", kinds.values[code]) for code in kinds.codes),
-        value=value,
-        sigma=sigma,
-        line=table.line,
-    )
+    return None if name is None else constraints_of(read_table(source, name, CONSTRAINT_COLUMNS))
 
 
 def _read_truth(source: Source, span_s: tuple[float, float]) -> Truth | None:

@@ -191,7 +191,7 @@ def read_table(
     table = parse(content, place, specs)
     if not len(table) and not may_be_empty:
         raise InputError(NO_ROWS, path=place)
-    _check_magnitudes(table, specs)
+    check_magnitudes(table, specs)
     return table
 
 
@@ -247,7 +247,8 @@ def match_columns(
     return matched
 
 
-def _check_magnitudes(table: Table, specs: Sequence[ColumnSpec]) -> None:
+def check_magnitudes(table: Table, specs: Sequence[ColumnSpec]) -> None:
+    """Raise InputError at the first number beyond the limit of its column."""
     for spec in specs:
         for name in spec.names_in_file:
             if name not in table.numbers:

@@ -14,6 +14,7 @@ from geograph.units import Unit
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.recording import Frame
     from geograph.results import Results
 
 
@@ -47,10 +48,14 @@ class Plane:
 
 def plane_of(results: Results) -> Plane:
     """Return the plane that suits a path."""
-    if results.frame == "local":
-        return Plane(np.zeros(3), np.eye(3), "x", "y")
     # The knot nearest to the middle: the mean of a long path would lie below the ground.
-    middle = results.position_m[results.time_s.size // 2]
+    return plane_at(results.position_m[results.time_s.size // 2], results.frame)
+
+
+def plane_at(middle: NDArray[np.float64], frame: Frame) -> Plane:
+    """Return the plane that suits what is around a position, shape (3,), metres."""
+    if frame == "local":
+        return Plane(np.zeros(3), np.eye(3), "x", "y")
     latitude, longitude, _ = geodetic_from_ecef(middle)
     where = (
         f"{abs(latitude):.4f}° {'N' if latitude >= 0 else 'S'} "

@@ -1,0 +1,1 @@
+"""Smoothing while measurements arrive (docs/incremental.md)."""

@@ -1,0 +1,154 @@
+"""How far an estimate may move before what was linearised about it is linearised again.
+
+Let e be the change of all whitened residuals beyond their linear part. The estimate of the linear
+system is then off by P J'e, which is at most |e| of its own posterior sigmas, in any direction,
+because J P J' <= 1. So |e| is held below a small part of a sigma: each of n scalar rows may be
+off by that over sqrt(n). Moving every unknown of one kind by h changes a residual by r(h) + r(-h)
+- 2 r(0) beyond its linear part, twice e; e grows with the square of h. That gives the distance
+for each kind. The step h is the posterior sigma of the kind, so that it is the curvature where
+the estimate may yet go that counts. With a loss, residuals are those of the weighted least
+squares: their weights follow the estimate, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geograph.incremental.rows import FIXES, join, take
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from geograph.families import Values
+    from geograph.incremental.chain import Chain
+    from geograph.incremental.model import Measured, Model
+    from geograph.incremental.rows import Rows
+
+TOLERANCE = 0.02
+"""Posterior sigmas by which what is not linear may put an estimate off."""
+
+# Rows that the curvature is taken from: the newest, where the object is.
+_ROWS = 32
+
+# A step is no smaller than what rounding leaves of a second difference.
+_LEAST_STEP = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """How far each kind of unknown may move from where it was linearised, scaled.
+
+    Attributes
+    ----------
+    path
+        Shape (m,): position, velocity, acceleration; lengths of their vectors.
+    chains, constants
+        Shapes (w,), (s,): walks and platforms, and constants.
+    """
+
+    path: NDArray[np.float64]
+    chains: NDArray[np.float64]
+    constants: NDArray[np.float64]
+
+    def moved(self, chain: Chain, first: int) -> list[int]:
+        """Return the pieces from ``first`` on whose estimate left their linearisation."""
+        pieces = chain.pieces[first:]
+        scale = chain.scale[: chain.size]
+        path = np.array(chain.path[first:])
+        at = np.array([piece.path for piece in pieces])
+        gap = np.abs(np.stack([path[:-1], path[1:]], axis=1) - at) / scale
+        blocks = np.sqrt(np.sum(gap.reshape(*gap.shape[:2], -1, 3) ** 2, axis=3))
+        far = (blocks > self.path).any(axis=(1, 2))
+        if self.chains.size:
+            chains = np.array(chain.chains[first:])
+            at = np.array([piece.chains for piece in pieces])
+            gap = np.abs(np.stack([chains[:-1], chains[1:]], axis=1) - at)
+            far |= (gap > self.chains).any(axis=(1, 2))
+        if self.constants.size:
+            at = np.array([piece.constants for piece in pieces])
+            far |= (np.abs(chain.constants - at) > self.constants).any(axis=1)
+        return [first + int(k) for k in np.flatnonzero(far)]
+
+
+def limits(model: Model, chain: Chain, total_rows: int) -> Limits:
+    """Return the limits that the measurements of the newest intervals set.
+
+    Parameters
+    ----------
+    model, chain
+        After an elimination.
+    total_rows
+        Scalar rows that count in all.
+    """
+    assert chain.final is not None
+    m, d = chain.size, chain.knot_size
+    sigma = np.sqrt(np.diagonal(chain.final.covariance()))
+    rows, low = _newest(chain)
+    path = model.motion.path(np.array(chain.knots_s[low:]))
+    values = chain.values(low, len(chain.knots_s) - 1)
+    families = list(model.families(rows))
+    allowed = TOLERANCE / np.sqrt(max(total_rows, 1))
+
+    def residual(at: Values) -> NDArray[np.float64]:
+        found = model.evaluate_families(families, path, at, low, jacobian=False)
+        return np.concatenate([_weighted(model, part) for part in found] or [np.zeros(1)])
+
+    here = residual(values)
+
+    def distance(there: Values, back: Values, step: float) -> float:
+        second = np.abs(residual(there) + residual(back) - 2.0 * here).max(initial=0.0)
+        # Beyond the linear part is half of the second difference; it grows with the square.
+        return step * float(np.sqrt(2.0 * allowed / max(float(second), 1e-300)))
+
+    blocks = np.full(m // 3, np.inf)
+    for block in range(min(m // 3, 2)):
+        own = slice(3 * block, 3 * block + 3)
+        step = max(float(np.linalg.norm(sigma[own])), _LEAST_STEP)
+        for axis in range(3):
+            by = np.zeros(m)
+            by[3 * block + axis] = step * chain.scale[3 * block + axis]
+            there, back = (replace(values, path=values.path + side * by) for side in (1, -1))
+            blocks[block] = min(blocks[block], distance(there, back, step))
+    constants = np.full(values.constants.size, np.inf)
+    states = model.prepared.states
+    kinds: dict[tuple[int, bool], list[int]] = {}
+    for column, state in enumerate(states.constants):
+        kinds.setdefault((state.channel, state.drift), []).append(column)
+    for columns in kinds.values():
+        by = np.zeros(constants.size)
+        by[columns] = np.maximum(sigma[d:][columns], _LEAST_STEP)
+        there, back = (replace(values, constants=values.constants + s * by) for s in (1, -1))
+        constants[columns] = by[columns] * distance(there, back, 1.0)
+    chains = np.full(d - m, np.inf)
+    for column in range(d - m):
+        by = np.zeros(d - m)
+        by[column] = step = max(float(sigma[m + column]), _LEAST_STEP)
+        there, back = (replace(values, walks=values.walks + s * by) for s in (1, -1))
+        chains[column] = distance(there, back, step)
+    return Limits(blocks, chains, constants)
+
+
+def _weighted(model: Model, part: Measured) -> NDArray[np.float64]:
+    """Return residuals whose squares are what the loss makes of them."""
+    residual = part.found.residual
+    weight = part.columns["kept"][part.order].astype(np.float64)
+    if model.loss.name != "none":
+        square = np.einsum("ij,ij->i", residual, residual)
+        weight = weight * model.loss.value_and_weight(square)[1]
+    return np.asarray((residual * np.sqrt(weight)[:, None]).ravel())
+
+
+def _newest(chain: Chain) -> tuple[Rows, int]:
+    """Return some of the newest rows, and the first knot that they need."""
+    held: list[Rows] = []
+    size, k = 0, len(chain.pieces)
+    while k and size < _ROWS:
+        k -= 1
+        rows = {kind: c for kind, c in chain.pieces[k].rows.items() if kind != FIXES}
+        held.append(rows)
+        size += sum(columns["ident"].size for columns in rows.values())
+    rows = join(held or [{}])
+    return {kind: take(c, slice(None, 2 * _ROWS)) for kind, c in rows.items()}, max(k - 1, 0)  # type: ignore[arg-type]

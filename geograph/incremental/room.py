@@ -1,0 +1,193 @@
+"""Knots for what arrives: where signals were emitted, and knots where there are none yet."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geograph.incremental.rows import CONSTRAINTS, FIXES, choose, join, time_column
+from geograph.incremental.start import empty_piece
+from geograph.states import CLOCK
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from geograph.incremental.chain import Chain
+    from geograph.incremental.model import Model
+    from geograph.incremental.rows import Columns, Rows
+
+# Below this speed of a signal the object's way during its travel counts.
+_SLOW_M_S = 1e5
+_ROUNDS = 3
+
+# Share of the spacing within which times need no knots of their own, as in a batch.
+_CLOSE = 0.1
+
+_REACH = 8
+
+
+def emission_times(model: Model, chain: Chain, kind: str, columns: Columns) -> NDArray[np.float64]:
+    """Return about when signals were emitted, shape (n,), good enough to place knots."""
+    tag = np.asarray(columns[time_column(kind)], dtype=np.float64)
+    if kind in CONSTRAINTS or kind == FIXES:
+        return tag
+    prepared = model.prepared
+    states = prepared.states
+    heard = columns.get("reference", columns["sensor"])
+    received = tag
+    constants = np.append(chain.constants * states.sigma, 0.0)
+    bias, drift = states.bias_column[heard, CLOCK], states.drift_column[heard, CLOCK]
+    if (bias >= 0).any() or (drift >= 0).any():
+        received = tag - constants[bias] - constants[drift] * (tag - states.reference_s)
+    walk = states.walk_column[heard, CLOCK]
+    if (walk >= 0).any():
+        value = np.append(chain.chains[-1][: len(states.walks)] * prepared.walk_scale[
+            : len(states.walks)], 0.0)  # fmt: skip
+        received = received - value[walk]
+    speed = prepared.recording.propagation_speed_m_s
+    if not np.isfinite(speed):
+        return received
+    place = prepared.geometry.motion(heard, received).position_m
+    last = chain.path[-1]
+    at = last[:3]
+    if last.size > 3:
+        at = at + (received - chain.knots_s[-1])[:, None] * last[3:6]
+    emitted = received - np.linalg.norm(at - place, axis=1) / speed
+    if speed < _SLOW_M_S or received.min() < chain.knots_s[-1] - 8.0 * model.spacing_s:
+        path, values = model.motion.path(np.array(chain.knots_s)), np.array(chain.path)
+        for _ in range(_ROUNDS):
+            at = model.motion.read(path, values, emitted)[:, :3]
+            emitted = received - np.linalg.norm(at - place, axis=1) / speed
+    columns["delay_s"] = received - emitted
+    return np.asarray(emitted)
+
+
+def make_room(model: Model, chain: Chain, times_s: NDArray[np.float64]) -> set[int]:
+    """Put knots where signals were emitted and there are none; return the pieces that changed.
+
+    The last knot is moved to the newest emission until its interval has the spacing; then it stays
+    and a new one follows. An interval that is longer, over a gap, is divided where something
+    arrives in it after all.
+
+    Parameters
+    ----------
+    model, chain
+        The chain is changed in place.
+    times_s
+        Shape (n,), growing: times of emission.
+    """
+    spacing = model.spacing_s
+    changed: set[float] = set()
+    last = chain.knots_s[-1]
+    for time in times_s[times_s < last].tolist():
+        k = int(np.searchsorted(chain.knots_s, time, side="right")) - 1
+        if k < 0:
+            continue
+        before, after = chain.knots_s[k], chain.knots_s[k + 1]
+        near = min(time - before, after - time)
+        if after - before > spacing * (1.0 + 1e-9) and near > _CLOSE * spacing:
+            _divide(model, chain, k, time)
+            changed |= {before, time}
+    beyond = times_s[times_s > last]
+    if beyond.size:
+        changed |= _extend(model, chain, beyond, spacing)
+    return {int(np.searchsorted(chain.knots_s, time)) for time in changed}
+
+
+def _extend(model: Model, chain: Chain, times: NDArray[np.float64], spacing: float) -> set[float]:
+    """Move the last knot and append others, until the last time is reached."""
+    changed: set[float] = set()
+    if times[0] - chain.knots_s[-2] <= spacing:
+        within = times[times - chain.knots_s[-2] <= spacing]
+        _move_last(model, chain, float(within[-1]))
+        changed.add(chain.knots_s[-2])
+        times = times[within.size :]
+    longest = model.motion.longest_step_s
+    while times.size:
+        base = chain.knots_s[-1]
+        within = times[times - base <= spacing]
+        time = float(within[-1]) if within.size else min(float(times[0]), base + longest)
+        _append(model, chain, time)
+        changed.add(base)
+        times = times[times > time]
+    return changed
+
+
+def _predicted(
+    model: Model, chain: Chain, time_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the estimate of the newest knot carried on to a later time."""
+    step = np.array([time_s - chain.knots_s[-1]])
+    path = model.motion.predict(chain.path[-1][None], step)[0][0]
+    states = model.prepared.states
+    if not states.platforms:
+        return path, chain.chains[-1]
+    matrix, _ = states.chain_transitions(step, model.prepared.walk_scale)
+    return path, matrix[0] @ chain.chains[-1]
+
+
+def _move_last(model: Model, chain: Chain, time_s: float) -> None:
+    path, chains = _predicted(model, chain, time_s)
+    chain.knots_s[-1] = time_s
+    chain.path[-1] = chain.reference_path[-1] = path
+    chain.chains[-1] = chain.reference_chains[-1] = chains
+
+
+def _append(model: Model, chain: Chain, time_s: float) -> None:
+    path, chains = _predicted(model, chain, time_s)
+    chain.knots_s.append(time_s)
+    chain.path.append(path)
+    chain.reference_path.append(path)
+    chain.chains.append(chains)
+    chain.reference_chains.append(chains)
+    chain.pieces.append(empty_piece(model))
+
+
+def _divide(model: Model, chain: Chain, k: int, time_s: float) -> None:
+    """Put a knot into interval k."""
+    pair = np.array(chain.knots_s[k : k + 2])
+    values = chain.values(k, k + 1)
+    path = model.motion.read(model.motion.path(pair), values.path, np.array([time_s]))[0]
+    share = (time_s - pair[0]) / (pair[1] - pair[0])
+    chains = (1.0 - share) * values.walks[0] + share * values.walks[1]
+    chain.knots_s.insert(k + 1, time_s)
+    for held, value in (
+        (chain.path, path),
+        (chain.reference_path, path),
+        (chain.chains, chains),
+        (chain.reference_chains, chains),
+    ):
+        held.insert(k + 1, value)
+    chain.pieces.insert(k + 1, empty_piece(model))
+
+
+def assign(chain: Chain, rows: Rows, times: dict[str, NDArray[np.float64]]) -> dict[int, Rows]:
+    """Return rows by the interval that they go into.
+
+    Arrivals of an emission that is held go where it is, so that their unknown time is one.
+    """
+    result: dict[int, Rows] = {}
+    last = len(chain.pieces) - 1
+    for kind, columns in rows.items():
+        at = np.searchsorted(chain.knots_s, times[kind], side="right") - 1
+        at = np.clip(at, 0, last)
+        if kind == "arrivals":
+            _with_siblings(chain, columns, at)
+        for k in np.unique(at).tolist():
+            part = choose({kind: columns}, {kind: at == k})
+            result[k] = join([result.get(k, {}), part])
+    return result
+
+
+def _with_siblings(chain: Chain, columns: Columns, at: NDArray[np.int64]) -> None:
+    emission = columns["emission"]
+    low, high = max(int(at.min()) - _REACH, 0), min(int(at.max()) + _REACH, len(chain.pieces) - 1)
+    for k in range(low, high + 1):
+        held = chain.pieces[k].rows.get("arrivals")
+        if held is not None:
+            at[np.isin(emission, held["emission"])] = k
+    # New ones of one emission stay together.
+    for number in np.unique(emission).tolist():
+        own = emission == number
+        at[own] = at[own].min()

@@ -1,0 +1,221 @@
+"""Measurements as they are held: columns by kind, each row with a number of its own.
+
+Every kind is a dictionary of columns of equal length. Beside those of its table a row has ``ident``
+(a number of its own), ``kept`` (whether it counts), ``judged`` (whether what came later has been
+asked about one that does not count) and ``delay_s`` (about how long its signal took).
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from geograph.errors import UpdateError
+from geograph.measurements import (
+    Arrivals,
+    Bearings,
+    Constraints,
+    FrequencyDifferences,
+    TimeDifferences,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from geograph.measurements import Measurements
+
+Columns = dict[str, "NDArray[Any]"]
+Rows = dict[str, Columns]
+"""Columns by kind: the tables that sensors fill, each kind of constraint, and fixes."""
+
+TABLES: Final[dict[str, type]] = {
+    "bearings": Bearings,
+    "arrivals": Arrivals,
+    "time_differences": TimeDifferences,
+    "frequency_differences": FrequencyDifferences,
+}
+CONSTRAINTS: Final = ("altitude_m", "speed_m_s")
+FIXES: Final = "fixes"
+
+_OWN: Final = ("ident", "kept", "judged", "delay_s")
+_NAMES = {table: name for name, table in TABLES.items()}
+_FIELDS = {
+    name: tuple(entry.name for entry in fields(table) if entry.name != "emission_names")
+    for name, table in TABLES.items()
+}
+# Columns in which a value that is not a number means something.
+_MAY_BE_MISSING: Final = ("elevation_rad", "sigma_elevation_rad")
+_IDENTITY: Final = {"line", *_OWN}
+
+
+def time_column(kind: str) -> str:
+    """Return the name of a kind's time tags."""
+    return "toa_s" if kind == "arrivals" else "time_s"
+
+
+def count(rows: Rows) -> int:
+    """Return the number of rows of all kinds."""
+    return sum(columns["ident"].size for columns in rows.values())
+
+
+def take(columns: Columns, chosen: NDArray[Any]) -> Columns:
+    """Return some rows, by a mask or by indices."""
+    return {name: column[chosen] for name, column in columns.items()}
+
+
+def join(parts: Sequence[Rows]) -> Rows:
+    """Return the rows of several parts, kind by kind."""
+    if len(parts) == 1:
+        return dict(parts[0])
+    held: dict[str, list[Columns]] = {}
+    for part in parts:
+        for kind, columns in part.items():
+            held.setdefault(kind, []).append(columns)
+    return {
+        kind: columns[0]
+        if len(columns) == 1
+        else {name: np.concatenate([c[name] for c in columns]) for name in columns[0]}
+        for kind, columns in held.items()
+    }
+
+
+def choose(rows: Rows, chosen: dict[str, NDArray[Any]]) -> Rows:
+    """Return some rows of every kind; kinds of which nothing is left are left out."""
+    result = {}
+    for kind, columns in rows.items():
+        part = take(columns, chosen[kind])
+        if part["ident"].size:
+            result[kind] = part
+    return result
+
+
+def table_of(kind: str, columns: Columns) -> Measurements:
+    """Return the table of a kind's rows."""
+    return TABLES[kind](**{name: columns[name] for name in _FIELDS[kind]})  # type: ignore[no-any-return]
+
+
+def numbered_table(kind: str, columns: Columns) -> Measurements:
+    """Return the table of a kind's rows, their own numbers in place of the lines."""
+    return replace(table_of(kind, columns), line=columns["ident"])
+
+
+def keys(kind: str, columns: Columns) -> list[tuple[Any, ...]]:
+    """Return what tells rows apart: everything that was measured, but not the line."""
+    parts = [column.tolist() for name, column in columns.items() if name not in _IDENTITY]
+    return [(kind, *values) for values in zip(*parts, strict=True)]
+
+
+def read(
+    measurements: Measurements | Constraints | Iterable[Measurements | Constraints],
+    *,
+    sensors: int,
+    first: int,
+    emission: dict[str, int],
+) -> Rows:
+    """Return given tables as rows, checked.
+
+    Parameters
+    ----------
+    measurements
+        One table, or several.
+    sensors
+        Number of sensors.
+    first
+        Number of the first row.
+    emission
+        Numbers of emissions that have names; new ones are added.
+
+    Raises
+    ------
+    UpdateError
+        If a value is not finite, a sigma not above zero, a sensor unknown, or something is no
+        table.
+    """
+    known = (*TABLES.values(), Constraints)
+    tables: list[Any]
+    tables = [measurements] if isinstance(measurements, known) else [*measurements]  # type: ignore[misc]
+    parts: list[Rows] = []
+    for table in tables:
+        if not isinstance(table, known):
+            raise UpdateError(
+                f"update was given {type(table).__name__}; expected tables: Bearings, Arrivals, "
+                "TimeDifferences, FrequencyDifferences or Constraints"
+            )
+        given: Any = table
+        if len(given):
+            part = (
+                _constraints(given) if isinstance(given, Constraints) else _table(given, emission)
+            )
+            for kind, columns in part.items():
+                _check(kind, columns, sensors)
+            parts.append(part)
+    if not parts:
+        return {}
+    rows = join(parts)
+    for kind, columns in rows.items():
+        rows[kind] = numbered(columns, first)
+        first += columns["line"].size
+    return rows
+
+
+def numbered(columns: Columns, first: int) -> Columns:
+    """Return columns with those of our own, rows numbered from ``first`` on."""
+    size = columns["line"].size
+    return columns | {
+        "ident": np.arange(first, first + size),
+        "kept": np.ones(size, dtype=bool),
+        "judged": np.zeros(size, dtype=bool),
+        "delay_s": np.zeros(size),
+    }
+
+
+def _table(table: Measurements, emission: dict[str, int]) -> Rows:
+    kind = _NAMES[type(table)]
+    columns = {name: np.asarray(getattr(table, name)) for name in _FIELDS[kind]}
+    if isinstance(table, Arrivals) and table.emission_names:
+        # The same name is the same emission, whatever its number in each table.
+        names = [table.emission_names[index] for index in table.emission.tolist()]
+        columns["emission"] = np.array(
+            [emission.setdefault(name, len(emission)) for name in names], dtype=np.int64
+        )
+    return {kind: columns}
+
+
+def _constraints(table: Constraints) -> Rows:
+    kinds = np.array(table.kind)
+    return {
+        kind: {
+            name: np.asarray(getattr(table, name))[kinds == kind]
+            for name in ("time_s", "value", "sigma", "line")
+        }
+        for kind in CONSTRAINTS
+        if (kinds == kind).any()
+    }
+
+
+def _check(kind: str, columns: Columns, sensors: int) -> None:
+    """Refuse what no update could use."""
+    for name, column in columns.items():
+        if name in ("line", "isotropic", "emission"):
+            continue
+        if name in ("sensor", "reference"):
+            good = (column >= 0) & (column < sensors)
+            expected = f"an index from 0 to {sensors - 1}"
+        else:
+            good = np.isfinite(column)
+            expected = "a finite number"
+            if name in _MAY_BE_MISSING or (name == "time_s" and kind in CONSTRAINTS):
+                good = good | np.isnan(column)
+            if name.startswith("sigma") and "reference" not in name:
+                good = good & ~(column <= 0.0)
+                expected = "a finite number above 0"
+        if not good.all():
+            row = int(np.argmin(good))
+            line = int(columns["line"][row])
+            raise UpdateError(
+                f"{kind}: {name} is {column[row]}; expected {expected}", line=line, column=name
+            )

@@ -1,0 +1,181 @@
+"""One sweep along a chain of knots, forwards in time, and one back for the covariances.
+
+These are the two loops of the structured elimination (:mod:`geograph.eliminate`), for a whole pass
+at once, or interval by interval as measurements arrive (:mod:`geograph.incremental`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import lapack
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+class NotPositiveDefiniteError(ArithmeticError):
+    """The linear system does not determine all unknowns to working precision."""
+
+
+@dataclass(frozen=True, eq=False)
+class Marginals:
+    """Marginal covariances of all unknowns, scaled.
+
+    Attributes
+    ----------
+    knots
+        Shape (K, d, d).
+    neighbours
+        Shape (K - 1, d, d): covariance of each knot with the following one.
+    knot_constants
+        Shape (K, d, s): covariance of each knot with the constant states.
+    constants
+        Shape (s, s).
+    """
+
+    knots: NDArray[np.float64]
+    neighbours: NDArray[np.float64]
+    knot_constants: NDArray[np.float64]
+    constants: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Intervals of a chain, eliminated one after another in the order of time.
+
+    Attributes
+    ----------
+    knots
+        For each interval the rows of the knot after it over (knot, constants, gradient), each
+        shape (d, d + s + 1): all that it and the intervals before say of that knot.
+    shares
+        Shape (n, s + 1, s + 1): what each interval adds to the rows of (constants, gradient).
+    inverse_roots
+        Shape (n, d, d): inverses of the factors of the noises' information.
+    gain
+        Shape (n, d, d + s + 1): w = -gain (x[k+1], constants, 1).
+    back, spread
+        Shapes (n, d, d + s + 1), (n, d, d): x[k] = back (x[k+1], constants, 1) + spread v.
+    """
+
+    knots: list[NDArray[np.float64]]
+    shares: NDArray[np.float64]
+    inverse_roots: NDArray[np.float64]
+    gain: NDArray[np.float64]
+    back: NDArray[np.float64]
+    spread: NDArray[np.float64]
+
+
+def sweep(
+    knot: NDArray[np.float64],
+    *,
+    blocks: NDArray[np.float64],
+    inverse_transition: NDArray[np.float64],
+    noise_root: NDArray[np.float64],
+    noise_residual: NDArray[np.float64],
+) -> Sweep:
+    """Eliminate the noise of every interval; turn the first knot's rows into the last one's.
+
+    Parameters
+    ----------
+    knot
+        Shape (d, d + s + 1): rows of the first knot over (knot, constants, gradient).
+    blocks, inverse_transition, noise_root, noise_residual
+        Of n intervals, as in :class:`LinearSystem`.
+
+    Raises
+    ------
+    NotPositiveDefiniteError
+        If the information of a noise is not positive definite.
+    """
+    d = knot.shape[0]
+    # x[k] = A x[k+1] - B w.
+    scaled_root = inverse_transition @ noise_root
+    turn = np.concatenate([-scaled_root, inverse_transition], axis=2)
+    rows = _turned_rows(turn, blocks, noise_residual)
+    count, _, width = rows.shape
+    inverse_roots = np.empty((count, d, d))
+    rests = np.empty((count, d, width - d))
+    before = np.empty((d, width))
+    knots = []
+    for k, (row, by) in enumerate(zip(rows, turn, strict=True)):
+        # The knot's information, with x[k] written through w and x[k+1].
+        np.matmul(knot[:, :d], by, out=before[:, : 2 * d])
+        before[:, 2 * d :] = knot[:, d:]
+        now = row + by.T @ before
+        root, fault = lapack.dpotrf(now[:d, :d], lower=1, clean=1)
+        if fault:
+            raise NotPositiveDefiniteError
+        inverse, _ = lapack.dtrtri(root, lower=1)
+        rest = np.matmul(inverse, now[:d, d:], out=rests[k])
+        inverse_roots[k] = inverse
+        knot = now[d:, d:] - rest[:, :d].T @ rest
+        knots.append(knot)
+    beyond = rests[:, :, d:]
+    shares = blocks[:, 2 * d :, 2 * d :] - np.swapaxes(beyond, 1, 2) @ beyond
+    gain = np.swapaxes(inverse_roots, 1, 2) @ rests
+    back = scaled_root @ gain
+    back[:, :, :d] += inverse_transition
+    spread = scaled_root @ np.swapaxes(inverse_roots, 1, 2)
+    return Sweep(knots, shares, inverse_roots, gain, back, spread)
+
+
+def _turned_rows(
+    turn: NDArray[np.float64], blocks: NDArray[np.float64], noise_residual: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return what measurements and noise add to the rows of (w, x[k+1]), for all intervals."""
+    d = noise_residual.shape[1]
+    index = np.arange(d)
+    first = np.swapaxes(turn, 1, 2) @ blocks[:, :d]
+    # Columns of x[k] become columns of (w, x[k+1]).
+    rows = np.concatenate([first[:, :, :d] @ turn, first[:, :, 2 * d :]], axis=2)
+    cross = first[:, :, d : 2 * d]
+    rows[:, :, d : 2 * d] += cross
+    rows[:, d:, : 2 * d] += np.swapaxes(cross, 1, 2)
+    rows[:, d:, d:] += blocks[:, d : 2 * d, d:]
+    rows[:, index, index] += 1.0
+    rows[:, index, -1] += noise_residual
+    return rows
+
+
+def chain_marginals(
+    back: NDArray[np.float64], spread: NDArray[np.float64], final_root: NDArray[np.float64]
+) -> Marginals:
+    """Return all marginal covariances by one backward pass over a factorisation.
+
+    The pass carries the covariance V of a knot if the constants were known, and the derivative G of
+    its mean by the constants, so that only positive terms are added: the covariance is V + G S G^T,
+    with S that of the constants.
+
+    Parameters
+    ----------
+    back, spread
+        Shapes (n, d, d + s + 1), (n, d, d), as in :class:`Sweep`.
+    final_root
+        Shape (d + s, d + s): lower factor of the information of (last knot, constants).
+    """
+    count, d, _ = spread.shape
+    inverse, _ = lapack.dtrtri(final_root, lower=1)
+    by_knot, by_constants = inverse[:d, :d], inverse[d:, d:]
+    constants = by_constants.T @ by_constants
+    known = np.empty((count + 1, d, d))
+    slope = np.empty((count + 1, d, constants.shape[0]))
+    known[count] = by_knot.T @ by_knot
+    slope[count] = -by_knot.T @ final_root[d:, :d].T
+    if count:
+        scatter = spread @ np.swapaxes(spread, 1, 2)
+        for k in range(count - 1, -1, -1):
+            by_next = back[k, :, :d]
+            known[k] = by_next @ known[k + 1] @ by_next.T + scatter[k]
+            slope[k] = by_next @ slope[k + 1] + back[k, :, d:-1]
+    cross = slope @ constants
+    knots = known + cross @ np.swapaxes(slope, 1, 2)
+    knots = 0.5 * (knots + np.swapaxes(knots, 1, 2))
+    neighbours = np.empty((count, d, d))
+    if count:
+        by_next, by_known = back[:, :, :d], back[:, :, d:-1]
+        neighbours = by_next @ knots[1:] + by_known @ np.swapaxes(cross[1:], 1, 2)
+    return Marginals(knots, neighbours, cross, constants)

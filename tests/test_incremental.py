@@ -1,0 +1,228 @@
+"""The incremental smoother against the batch: the same answer, whatever the order of arrival."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import feeding
+import numpy as np
+import pytest
+
+import geograph as gg
+from geograph.examples import write_example
+from geograph.incremental.curvature import TOLERANCE, limits
+from geograph.incremental.state import everything
+from geograph.scenarios import low_orbit_pass
+from geograph.scenarios.radio_mixed import mixed
+
+# The goals of the incremental smoother: posterior sigmas, and relative error of a covariance.
+NEAR, ALIKE, NEWEST = 0.1, 0.02, 0.2
+
+
+def small_pass(seed, **options):
+    """A pass of 30 bearings from each of 4 sensors, with 31 knots, or about."""
+    options = {"platform": "ground" if seed % 2 else "satellite"} | options
+    recording = low_orbit_pass(seed, sensors=4, bearings=30, **options)
+    first, last = recording.time_span_s
+    settings = recording.settings.replace(spacing_s=(last - first) / 30)
+    return dataclasses.replace(recording, settings=settings)
+
+
+@pytest.mark.parametrize("walk", [0.0, 1e-7])
+def test_passes_equal_the_batch(walk):
+    """50 passes in all: every knot, before anything is solved as a batch would."""
+    for seed in range(25):
+        recording = small_pass(seed, instability_rad_sqrt_s=walk)
+        batch = gg.smooth(recording)
+        smoother = feeding.feed(gg.IncrementalSmoother.of(recording), recording, every=12)
+        assert smoother.estimate.status is gg.Tracking.TRACKING
+        sigmas, relative = feeding.differences(smoother.track(), batch)
+        assert sigmas < NEAR
+        assert relative < ALIKE
+        assert feeding.newest_sigmas(smoother.estimate, batch) < NEAR
+
+
+@pytest.mark.parametrize("loss", ["cauchy", "auto"])
+def test_winchcombe_equals_the_batch(tmp_path, loss):
+    (folder,) = write_example("winchcombe", tmp_path / "winchcombe")
+    recording = gg.read(folder)
+    batch = gg.smooth(recording, loss=loss)
+    smoother = gg.IncrementalSmoother.of(recording, loss=loss)
+    feeding.feed(smoother, recording, every=200)
+    estimate = smoother.finish()
+    sigmas, relative = feeding.differences(smoother.track(), batch)
+    assert sigmas < NEAR
+    assert relative < ALIKE
+    if loss == "auto":
+        assert {name.line for name in estimate.rejected} == {
+            entry["line"] for entry in batch.summary["rejected"]
+        }
+
+
+def test_a_locards_track_equals_the_batch(tmp_path):
+    folder = write_example("locards", tmp_path / "locards")[3]
+    recording = gg.read(folder)
+    batch = gg.smooth(recording)
+    smoother = feeding.feed(gg.IncrementalSmoother.of(recording), recording, every=1)
+    sigmas, relative = feeding.differences(smoother.track(), batch)
+    assert sigmas < NEAR
+    assert relative < ALIKE
+
+
+def test_mixed_kinds_equal_the_batch():
+    recording = mixed(1)
+    recording = dataclasses.replace(recording, settings=recording.settings.replace(spacing_s=5.0))
+    batch = gg.smooth(recording)
+    smoother = feeding.feed(gg.IncrementalSmoother.of(recording), recording, every=30)
+    smoother.finish()
+    sigmas, relative = feeding.differences(smoother.track(), batch)
+    assert sigmas < NEAR
+    assert relative < ALIKE
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_lag_keeps_the_newest_knot(seed):
+    recording = small_pass(seed)
+    batch = gg.smooth(recording)
+    lag = 20 * recording.settings.spacing_s
+    smoother = gg.IncrementalSmoother.of(recording, lag=lag)
+    feeding.feed(smoother, recording, every=4)
+    estimate = smoother.estimate
+    assert feeding.newest_sigmas(estimate, batch) < NEWEST
+    assert estimate.knots < 45
+    assert estimate.used == len(recording.bearings)
+    reference = batch.at(estimate.time_s).covariance[0]
+    np.testing.assert_allclose(estimate.covariance, reference, rtol=0.05, atol=1e-6)
+
+
+@pytest.mark.parametrize("lag", [None, 20.0])
+def test_random_order_and_duplicates_change_nothing(lag):
+    recording = small_pass(1)
+    table, spacing = recording.bearings, recording.settings.spacing_s
+    batch = gg.smooth(recording)
+    rng = np.random.default_rng(5)
+    order = np.argsort(table.time_s + rng.uniform(0.0, 4 * spacing, len(table)))
+    # Every seventh comes again, a little later.
+    again = order[::7]
+    place = np.concatenate([np.arange(order.size), 7 * np.arange(again.size) + 10])
+    order = np.concatenate([order, again])[np.argsort(place, kind="stable")]
+    smoother = gg.IncrementalSmoother.of(recording, lag=None if lag is None else lag * spacing)
+    named = []
+    for low in range(0, order.size, 5):
+        estimate = smoother.update(feeding.take(table, order[low : low + 5]))
+        named += [name.line for name in estimate.duplicates]
+    assert estimate.used == len(table)
+    assert estimate.duplicate_count == again.size
+    assert sorted(named) == sorted(table.line[again].tolist())
+    assert feeding.newest_sigmas(estimate, batch) < (NEAR if lag is None else NEWEST)
+
+
+def test_silent_and_late_sensors_and_a_gap():
+    recording = small_pass(2)
+    table = recording.bearings
+    first, last = recording.time_span_s
+    share = (table.time_s - first) / (last - first)
+    silent = (table.sensor == 0) & (share > 0.3) & (share < 0.63)
+    appears = (table.sensor == 1) & (share < 0.5)
+    gap = (share > 0.7) & (share < 0.85)
+    rows = np.flatnonzero(~(silent | appears | gap))
+    recording = dataclasses.replace(recording, bearings=feeding.take(table, rows))
+    batch = gg.smooth(recording)
+    smoother = feeding.feed(gg.IncrementalSmoother.of(recording), recording, every=5)
+    sigmas, relative = feeding.differences(smoother.track(), batch)
+    assert sigmas < NEAR
+    assert relative < ALIKE
+
+
+def test_too_late_is_named_and_not_used():
+    recording = small_pass(1)
+    table = recording.bearings
+    order = np.argsort(table.time_s)
+    late = order[10]
+    smoother = gg.IncrementalSmoother.of(recording, lag=5 * recording.settings.spacing_s)
+    for low in range(0, order.size, 10):
+        chosen = order[low : low + 10]
+        smoother.update(feeding.take(table, chosen[chosen != late]))
+    before = smoother.estimate
+    estimate = smoother.update(feeding.take(table, [late]))
+    assert [name.line for name in estimate.late] == [table.line[late]]
+    assert estimate.late_count == 1
+    assert estimate.used == before.used
+    np.testing.assert_array_equal(estimate.state, before.state)
+
+
+def test_outliers_wait_and_are_named_as_by_the_batch():
+    recording = small_pass(3, outliers=5)
+    recording = dataclasses.replace(recording, settings=recording.settings.replace(loss="auto"))
+    batch = gg.smooth(recording)
+    assert batch.summary["rejected"]
+    smoother = feeding.feed(gg.IncrementalSmoother.of(recording), recording, every=4)
+    estimate = smoother.finish()
+    assert not estimate.waiting
+    assert {name.line for name in estimate.rejected} == {
+        entry["line"] for entry in batch.summary["rejected"]
+    }
+    assert feeding.differences(smoother.track(), batch)[0] < NEAR
+
+
+def test_limits_bound_what_is_not_linear():
+    """Moved by its limit along any kind, no residual leaves its linear part by more than allowed."""
+    recording = small_pass(1)
+    smoother = feeding.feed(gg.IncrementalSmoother.of(recording), recording, every=12)
+    state = smoother._state
+    model, chain = state.running
+    found = limits(model, chain, state.total_rows)
+    allowed = TOLERANCE / np.sqrt(state.total_rows)
+    rows = chain.pieces[-1].rows
+    path = model.motion.path(np.array(chain.knots_s[-2:]))
+    values = chain.values(len(chain.knots_s) - 2, len(chain.knots_s) - 1)
+    first = len(chain.pieces) - 1
+
+    def residual(at):
+        return model.evaluate(rows, path, at, first)[0].found.residual
+
+    for axis in range(3):
+        by = np.zeros(chain.size)
+        by[axis] = found.path[0] * model.path_scale[axis]
+        ahead, back = (dataclasses.replace(values, path=values.path + s * by) for s in (1, -1))
+        second = residual(ahead) + residual(back) - 2.0 * residual(values)
+        assert 0.5 * np.abs(second).max() < 3.0 * allowed
+
+
+def test_starting_says_what_is_missing():
+    recording = small_pass(1)
+    smoother = gg.IncrementalSmoother.of(recording)
+    assert smoother.estimate.status is gg.Tracking.COLLECTING
+    estimate = smoother.update(feeding.take(recording.bearings, [0, 1]))
+    assert "needs at least 9 at 4 times" in estimate.message
+    own = np.flatnonzero(recording.bearings.sensor == 0)
+    estimate = smoother.update(feeding.take(recording.bearings, own))
+    assert estimate.status is gg.Tracking.COLLECTING
+    assert "the distance along its line of sight" in estimate.message
+    assert estimate.time_s is None
+    with pytest.raises(gg.UpdateError, match="there is no track yet"):
+        smoother.track()
+
+
+def test_a_static_object_and_whole_path_constraints():
+    recording = small_pass(1)
+    table = gg.Constraints(
+        time_s=np.array([np.nan]),
+        kind=("speed_m_s",),
+        value=np.array([7600.0]),
+        sigma=np.array([5.0]),
+        line=np.array([2]),
+    )
+    recording = dataclasses.replace(recording, constraints=table)
+    batch = gg.smooth(recording)
+    smoother = feeding.feed(gg.IncrementalSmoother.of(recording), recording, every=12)
+    sigmas, relative = feeding.differences(smoother.track(), batch)
+    assert sigmas < NEAR
+    assert relative < ALIKE
+
+
+def test_everything_is_evaluated_once():
+    recording = small_pass(1)
+    smoother = feeding.feed(gg.IncrementalSmoother.of(recording), recording, every=12)
+    held = np.concatenate([part.columns["line"] for part in everything(smoother._state)])
+    assert sorted(held.tolist()) == sorted(recording.bearings.line.tolist())

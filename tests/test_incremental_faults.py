@@ -1,0 +1,148 @@
+"""Whatever is thrown into an update: the smoother is what it was, and goes on."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+
+import feeding
+import numpy as np
+import pytest
+from test_incremental import small_pass
+
+import geograph as gg
+from geograph.families import BearingFamily
+
+
+@pytest.fixture
+def halfway():
+    recording = small_pass(1)
+    held = list(feeding.parts(recording, every=12))
+    smoother = gg.IncrementalSmoother.of(recording)
+    for part in held[:6]:
+        smoother.update(part)
+    return recording, smoother, held[6:]
+
+
+def picture(smoother):
+    """Everything that a smoother holds, as numbers."""
+    state, estimate = smoother._state, smoother.estimate
+    chain = state.chain
+    return [
+        np.array(chain.knots_s),
+        np.array(chain.path),
+        chain.constants,
+        *[piece.block for piece in chain.pieces],
+        *chain.forward,
+        chain.final.root,
+        estimate.state,
+        estimate.covariance,
+        np.array([state.total, state.total_rows, estimate.used, len(smoother._known)]),
+    ]
+
+
+def same(one, other):
+    assert len(one) == len(other)
+    for left, right in zip(one, other, strict=True):
+        np.testing.assert_array_equal(left, right)
+
+
+@pytest.mark.parametrize("what", ["raises", "nan", "memory"])
+def test_a_fault_inside_a_family_changes_nothing(halfway, monkeypatch, what):
+    recording, smoother, rest = halfway
+    before = picture(smoother)
+    real = BearingFamily.evaluate
+
+    def broken(self, *arguments, **options):
+        if what == "raises":
+            raise ZeroDivisionError("inside a factor")
+        if what == "memory":
+            raise MemoryError
+        found = real(self, *arguments, **options)
+        return dataclasses.replace(found, residual=np.full_like(found.residual, np.nan))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(BearingFamily, "evaluate", broken)
+        with pytest.raises(gg.UpdateError):
+            smoother.update(rest[0])
+    same(picture(smoother), before)
+    # It goes on as if nothing had been.
+    for part in rest:
+        smoother.update(part)
+    sigmas, relative = feeding.differences(smoother.track(), gg.smooth(recording))
+    assert sigmas < 0.1
+    assert relative < 0.02
+
+
+def test_a_fault_that_passes_is_recovered_from_and_logged(halfway, monkeypatch, caplog):
+    recording, smoother, rest = halfway
+    real, calls = BearingFamily.evaluate, []
+
+    def once(self, *arguments, **options):
+        calls.append(0)
+        if len(calls) == 1:
+            raise FloatingPointError("once")
+        return real(self, *arguments, **options)
+
+    with monkeypatch.context() as patch, caplog.at_level(logging.WARNING, "geograph.incremental"):
+        patch.setattr(BearingFamily, "evaluate", once)
+        estimate = smoother.update(rest[0])
+    assert estimate.rebuilt == 1
+    assert "made anew (FloatingPointError: once)" in caplog.text
+    for part in rest[1:]:
+        smoother.update(part)
+    assert feeding.differences(smoother.track(), gg.smooth(recording))[0] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        ("azimuth_rad", np.nan, "line 7, column azimuth_rad: bearings: azimuth_rad is nan"),
+        ("time_s", np.inf, "time_s is inf; expected a finite number"),
+        ("sigma_azimuth_rad", -1.0, "sigma_azimuth_rad is -1.0; expected a finite number above 0"),
+        ("sensor", 99, "sensor is 99; expected an index from 0 to 3"),
+    ],
+)
+def test_a_bad_row_is_named_and_nothing_of_its_update_is_used(halfway, column, value, message):
+    _, smoother, rest = halfway
+    before = picture(smoother)
+    table = rest[0][0]
+    changed = getattr(table, column).copy()
+    changed[1] = value
+    line = np.arange(table.line.size) + 6
+    with pytest.raises(gg.UpdateError, match=message):
+        smoother.update(dataclasses.replace(table, **{column: changed, "line": line}))
+    same(picture(smoother), before)
+    smoother.update(table)
+
+
+def test_no_table_is_refused(halfway):
+    _, smoother, _ = halfway
+    with pytest.raises(gg.UpdateError, match="expected tables"):
+        smoother.update([3])
+    same(picture(smoother), picture(smoother))
+
+
+def test_wrong_settings_are_refused():
+    sensors = small_pass(1).sensors
+    with pytest.raises(gg.InputError, match="lag is -1"):
+        gg.IncrementalSmoother(sensors, lag=-1.0)
+    with pytest.raises(gg.InputError, match="unknown engine 'x'"):
+        gg.IncrementalSmoother(sensors, engine="x")
+    with pytest.raises(gg.InputError, match="unknown setting"):
+        gg.IncrementalSmoother(sensors, pace=1)
+
+
+def test_motion_by_name_and_names_of_rows():
+    recording = small_pass(1)
+    settings = recording.settings
+    smoother = gg.IncrementalSmoother(
+        recording.sensors,
+        motion=gg.ConstantAcceleration(0.1),
+        spacing_s=settings.spacing_s,
+        loss="none",
+    )
+    feeding.feed(smoother, recording, every=40)
+    assert feeding.differences(smoother.track(), gg.smooth(recording))[0] < 0.1
+    name = gg.RowName("bearings", "S1", 2.5, 7)
+    assert str(name) == "bearings of S1 at 2.5 s, line 7"
