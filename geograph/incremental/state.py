@@ -122,11 +122,12 @@ class State:
             chain=None if self.chain is None else self.chain.copy(),
             out=dict(self.out),
             names=dict(self.names),
-            reach_s=None,
-            newly_duplicate={},
-            newly_late={},
-            dropped=[],
+            dropped=list(self.dropped),
         )
+
+    def afresh(self) -> State:
+        """Return a copy for a new update."""
+        return replace(self.copy(), reach_s=None, newly_duplicate={}, newly_late={}, dropped=[])
 
     @property
     def robust(self) -> bool:
@@ -443,13 +444,13 @@ def _weights_changed(state: State) -> bool:
     """Tell whether measurements weigh by how many there are."""
     model, chain = state.running
     correlated = any(sensor.correlation for sensor in model.prepared.sensors)
-    spread = bool(model.whole) and model.knots != len(chain.knots_s) + chain.gone
+    spread = bool(model.whole) and model.whole_s < chain.knots_s[-1] - model.since_s
     return correlated or spread
 
 
 def _weigh_again(state: State) -> None:
     model, chain = state.running
-    state.model = replace(model, knots=len(chain.knots_s) + chain.gone)
+    state.model = model.reaching(chain)
     state.model.linearise(chain, range(len(chain.pieces)))
     chain.eliminate()
 
@@ -523,7 +524,8 @@ def respan(state: State, rows: Rows, low_s: float, high_s: float) -> None:
             if attempt == _ROUNDS - 1:
                 raise
             low_s, high_s = min(low_s, error.low_s), max(high_s, error.high_s)
-    state.model = replace(model, knots=knots.size)
+    assert state.chain is not None
+    state.model = replace(model, since_s=float(knots[0])).reaching(state.chain)
     state.checked = knots.size
 
 
