@@ -136,6 +136,26 @@ def test_silent_and_late_sensors_and_a_gap():
     assert relative < ALIKE
 
 
+@pytest.mark.parametrize("lag", [None, 20.0])
+def test_isam2_gives_the_same(lag):
+    recording = small_pass(1)
+    batch = gg.smooth(recording)
+    lag = None if lag is None else lag * recording.settings.spacing_s
+    found = [
+        feeding.feed(
+            gg.IncrementalSmoother.of(recording, lag=lag, engine=engine), recording, every=5
+        )
+        for engine in ("isam2", "structured")
+    ]
+    ours, other = (smoother.estimate for smoother in found)
+    assert feeding.newest_sigmas(ours, batch) < (NEAR if lag is None else NEWEST)
+    np.testing.assert_allclose(ours.covariance, other.covariance, rtol=ALIKE, atol=1e-6)
+    if lag is None:
+        sigmas, relative = feeding.differences(found[0].track(), batch)
+        assert sigmas < NEAR
+        assert relative < ALIKE
+
+
 def test_too_late_is_named_and_not_used():
     recording = small_pass(1)
     table = recording.bearings

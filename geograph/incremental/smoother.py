@@ -112,7 +112,7 @@ class IncrementalSmoother:
             propagation_sigma_m_s=propagation_sigma_m_s,
             settings=chosen,
         )
-        self._state = State(template, chosen, lag)
+        self._state = State(template, chosen, lag, engine == "isam2")
         self._known: set[Any] = set()
         self._emission: dict[str, int] = {}
         self._next = 0

@@ -67,8 +67,8 @@ class State:
 
     Attributes
     ----------
-    template, settings, lag_s
-        Recording without measurements, how it is smoothed, and the lag.
+    template, settings, lag_s, isam
+        Recording without measurements, how it is smoothed, the lag, and whether iSAM2 solves.
     waiting
         Rows that wait for a start.
     whole
@@ -88,6 +88,7 @@ class State:
     template: Recording
     settings: SmoothSettings
     lag_s: float | None
+    isam: bool = False
     waiting: Rows = field(default_factory=dict)
     whole: Rows = field(default_factory=dict)
     model: Model | None = None
@@ -176,6 +177,7 @@ def collect(state: State, rows: Rows) -> None:
 def _take(state: State, started: Started) -> None:
     """Go on from a start."""
     state.model, state.chain = started.model, started.chain
+    _engine(state)
     state.attempts, state.resolution = started.attempts, started.resolution
     state.started_with = state.total
     recount(state)
@@ -184,6 +186,18 @@ def _take(state: State, started: Started) -> None:
         if kind in TABLES and not columns["kept"].all():
             _note(state, kind, choose({kind: columns}, {kind: ~columns["kept"]})[kind])
     look_over(state)
+
+
+def _engine(state: State) -> None:
+    """Give a new chain to iSAM2, if that is to solve it."""
+    _, chain = state.running
+    if state.isam:
+        # Imported here: GTSAM takes half a second.
+        from geograph.incremental.isam import Isam
+
+        chain.isam = Isam()
+        chain.changed(0)
+        chain.eliminate()
 
 
 def _note(state: State, kind: str, columns: Columns) -> None:
@@ -396,7 +410,8 @@ def _let_go(state: State) -> None:
     leave = 0
     while leave < len(chain.pieces) - 1 and chain.knots_s[leave + 1] <= oldest:
         leave += 1
-    if not leave:
+    if not leave or (state.isam and 2 * leave < len(chain.pieces)):
+        # iSAM2 is made anew for a new prior: as seldom as once for every knot held.
         return
     rows = join([piece.rows for piece in chain.pieces[:leave]])
     state.dropped.append(rows)
@@ -525,6 +540,7 @@ def respan(state: State, rows: Rows, low_s: float, high_s: float) -> None:
                 raise
             low_s, high_s = min(low_s, error.low_s), max(high_s, error.high_s)
     assert state.chain is not None
+    _engine(state)
     state.model = replace(model, since_s=float(knots[0])).reaching(state.chain)
     state.checked = knots.size
 
