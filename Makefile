@@ -35,6 +35,7 @@ check: $(VENV)/.test
 
 bench: $(VENV)/.test
 	$(BIN)/python tests/benchmarks/run.py
+	$(BIN)/python tests/benchmarks/incremental.py
 
 docs: $(VENV)/.docs
 	$(BIN)/mkdocs build --strict --config-file .mkdocs.yml

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 
@@ -31,7 +32,7 @@ def parts(recording, edges=None, *, every=None):
     if edges is None:
         edges = np.unique(np.concatenate(times))[::every]
     edges = np.concatenate([[-np.inf], edges, [np.inf]])
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         chosen = [np.flatnonzero((t >= low) & (t < high)) for t in times]
         found = [take(t, rows) for t, rows in zip(held, chosen, strict=True) if rows.size]
         if found:

@@ -24,6 +24,7 @@ from geograph.sweep import NotPositiveDefiniteError, chain_marginals, sweep
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.incremental.isam import Isam
     from geograph.incremental.rows import Rows
     from geograph.sweep import Marginals
 
@@ -61,16 +62,21 @@ class Final:
     Attributes
     ----------
     root
-        Shape (d + s, d + s): its lower factor.
+        Shape (d + s, d + s): its lower factor; None where the covariance is known already.
     step
         Shape (d + s,): increments from the reference.
+    known
+        Shape (d + s, d + s): the covariance, where it is known.
     """
 
-    root: NDArray[np.float64]
+    root: NDArray[np.float64] | None
     step: NDArray[np.float64]
+    known: NDArray[np.float64] | None = None
 
     def covariance(self) -> NDArray[np.float64]:
         """Return the covariance, shape (d + s, d + s), scaled."""
+        if self.known is not None:
+            return self.known
         inverse, _ = lapack.dtrtri(self.root, lower=1)
         return np.asarray(inverse.T @ inverse)
 
@@ -103,6 +109,10 @@ class Chain:
         Intervals that were dropped.
     dirty
         The first piece that changed since the last elimination.
+    behind
+        The first piece that changed since the last sweep; the same, but with iSAM2.
+    isam
+        Who solves in place of the sweep, or None.
     """
 
     scale: NDArray[np.float64]
@@ -123,6 +133,8 @@ class Chain:
     final: Final | None = None
     gone: int = 0
     dirty: int = 0
+    behind: int = 0
+    isam: Isam | None = None
 
     def copy(self) -> Chain:
         """Return a chain whose lists may be changed without changing this one's."""
@@ -162,7 +174,7 @@ class Chain:
 
     def changed(self, first: int) -> None:
         """Note that pieces from ``first`` on are to be eliminated again."""
-        self.dirty = min(self.dirty, first)
+        self.dirty, self.behind = min(self.dirty, first), min(self.behind, first)
 
     def eliminate(self) -> None:
         """Eliminate all pieces from the first one that changed.
@@ -172,7 +184,15 @@ class Chain:
         NotPositiveDefiniteError
             If what is held does not determine the newest knot.
         """
-        first = self.dirty
+        if self.isam is None:
+            self.final = self._swept()
+        else:
+            self.final = Final(None, *self.isam.solve(self))
+        self.dirty = len(self.pieces)
+
+    def _swept(self) -> Final:
+        """Eliminate by the sweep what changed since the last one."""
+        first = self.behind
         pieces = self.pieces[first:]
         del self.forward[first + 1 :], self.other[first + 1 :]
         del self.back[first:], self.spread[first:]
@@ -196,8 +216,8 @@ class Chain:
             else:
                 self.back.extend(row.copy() for row in found.back)
                 self.spread.extend(row.copy() for row in found.spread)
-        self.final = self._finish()
-        self.dirty = len(self.pieces)
+        self.behind = len(self.pieces)
+        return self._finish()
 
     def _finish(self) -> Final:
         d = self.knot_size
@@ -216,6 +236,9 @@ class Chain:
     def solve(self, depth: int) -> None:
         """Bring the estimates of the constants and of the ``depth`` newest knots up to date."""
         assert self.final is not None
+        if self.isam is not None:
+            self.solve_all()
+            return
         d, last = self.knot_size, len(self.knots_s) - 1
         following = self.final.step[:d]
         increments = self.final.step[d:]
@@ -235,7 +258,9 @@ class Chain:
         offsets[last] = following = self.final.step[:d]
         increments = self.final.step[d:]
         self.constants = self.reference + increments
-        if last:
+        if self.isam is not None:
+            offsets = self.isam.offsets(self)
+        elif last:
             back = np.array(self.back)
             shift = back[:, :, d:] @ np.append(increments, 1.0)
             by_next = np.ascontiguousarray(back[:, :, :d])
@@ -249,16 +274,21 @@ class Chain:
 
     def marginals(self, first: int = 0) -> Marginals:
         """Return the covariances of all knots from ``first`` on, scaled."""
-        assert self.final is not None
+        final = self.final if self.isam is None else self._swept()
+        assert final is not None
+        assert final.root is not None
         d, width = self.knot_size, self.forward[0].shape[1]
         back = np.array(self.back[first:]).reshape(-1, d, width)
         spread = np.array(self.spread[first:]).reshape(-1, d, d)
-        return chain_marginals(back, spread, self.final.root)
+        return chain_marginals(back, spread, final.root)
 
     def drop(self, count: int) -> None:
         """Let the oldest intervals go; what they said stays as the prior of the first knot kept."""
+        if self.isam is not None:
+            self._swept()
         for name in ("knots_s", "reference_path", "reference_chains", "path", "chains", "pieces",
                      "forward", "other", "back", "spread"):  # fmt: skip
             del getattr(self, name)[:count]
         self.gone += count
+        self.behind = max(self.behind - count, 0)
         self.dirty = max(self.dirty - count, 0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -105,8 +105,8 @@ class Model:
         Rows of each kind and sensor so far, for correlated errors.
     whole
         Constraints along the whole path, by kind: columns.
-    knots
-        Over how many knots these are spread.
+    since_s, whole_s
+        When the path began, and over how long a time these are spread.
     active, timed
         Sensors that have measured, and whether a constraint stands at a given time.
     """
@@ -122,7 +122,8 @@ class Model:
     carrier_hz: float | None
     counts: dict[str, NDArray[np.int64]] = field(default_factory=dict)
     whole: Rows = field(default_factory=dict)
-    knots: int = 1
+    since_s: float = 0.0
+    whole_s: float = 1.0
     active: frozenset[int] = frozenset()
     timed: bool = False
 
@@ -311,8 +312,23 @@ class Model:
         root = None if weight is None else np.sqrt(weight)
         BlockSum(self.layout, self.path_scale).add(blocks, part.found, root)
 
-    def whole_families(self, knots_s: NDArray[np.float64]) -> list[Family]:
-        """Return the families of what holds along the whole path, put at some of its knots."""
+    def reaching(self, chain: Chain) -> Model:
+        """Return the model with what holds along the whole path spread as far as a chain goes."""
+        return replace(self, whole_s=chain.knots_s[-1] - self.since_s)
+
+    def whole_families(
+        self, knots_s: NDArray[np.float64], share: NDArray[np.float64]
+    ) -> list[Family]:
+        """Return the families of what holds along the whole path, put at some of its knots.
+
+        Parameters
+        ----------
+        knots_s
+            Shape (n,).
+        share
+            Shape (n,): of the time of the whole path that each knot stands for. All together
+            count as one measurement.
+        """
         found: list[Family] = []
         for kind, columns in self.whole.items():
             size, times = columns["value"].size, knots_s.size
@@ -320,8 +336,7 @@ class Model:
                 _WHOLE[kind](
                     time_s=np.repeat(knots_s, size),
                     value=np.tile(columns["value"], times),
-                    # All knots together count as one measurement.
-                    sigma=np.tile(columns["sigma"], times) * np.sqrt(self.knots),
+                    sigma=np.tile(columns["sigma"], times) / np.sqrt(np.repeat(share, size)),
                     line=np.tile(columns["line"], times),
                     frame=self.prepared.recording.frame,
                 )
@@ -329,12 +344,14 @@ class Model:
         return found
 
     def _whole_block(self, chain: Chain, k: int) -> NDArray[np.float64]:
-        """Return what holds along the whole path: at the knot after interval k, and the first."""
+        """Return what holds along the whole path, at both ends of an interval."""
         times = np.array(chain.knots_s[k : k + 2])
         path, values = self.motion.path(times), chain.values(k, k + 1)
         state = path.at_state(values.path, jacobian=True)
         block = np.zeros((1, self.layout.width, self.layout.width))
-        for family in self.whole_families(times if k == 0 and not chain.gone else times[1:]):
+        span = max(self.whole_s, chain.knots_s[-1] - self.since_s)
+        share = np.full(2, 0.5 * (times[1] - times[0]) / span)
+        for family in self.whole_families(times, share):
             found = family.evaluate(path, state, values, jacobian=True)
             BlockSum(self.layout, self.path_scale).add(block, found, None)
         return np.asarray(block[0])

@@ -112,7 +112,7 @@ class IncrementalSmoother:
             propagation_sigma_m_s=propagation_sigma_m_s,
             settings=chosen,
         )
-        self._state = State(template, chosen, lag)
+        self._state = State(template, chosen, lag, engine == "isam2")
         self._known: set[Any] = set()
         self._emission: dict[str, int] = {}
         self._next = 0
@@ -192,7 +192,7 @@ class IncrementalSmoother:
         self, measurements: Measurements | Constraints | Iterable[Measurements | Constraints]
     ) -> Estimate:
         emission = dict(self._emission)
-        state = self._state.copy()
+        state = self._state.afresh()
         rows = read(
             measurements,
             sensors=len(state.template.sensors),
@@ -224,7 +224,7 @@ class IncrementalSmoother:
             return rows
         state.whole = join([state.whole, choose(part, chosen)])
         if state.model is not None:
-            state.model = replace(state.model, whole=state.whole, knots=0)
+            state.model = replace(state.model, whole=state.whole, whole_s=0.0)
             look_over(state)
         left = choose(part, {k: ~mask for k, mask in chosen.items()})
         return {k: c for k, c in rows.items() if k not in CONSTRAINTS} | left
@@ -349,7 +349,7 @@ class IncrementalSmoother:
         """
         try:
             with single_blas_thread():
-                state = self._state.copy()
+                state = self._state.afresh()
                 finished(state)
                 estimate = self._told(state)
                 self._commit(state, estimate, {}, self._emission, self._next)

@@ -215,7 +215,8 @@ def make_model(
         between=between,
         carrier_hz=None if table is None else float(np.median(table.carrier_hz)),
         whole=whole,
-        knots=max(int(problem.knots_s.size), 2),
+        since_s=float(problem.knots_s[0]),
+        whole_s=max(float(np.ptp(problem.knots_s)), 1e-3),
     )
     return with_rows(model, rows)
 
@@ -328,7 +329,9 @@ def problem_of(model: Model, knots_s: NDArray[np.float64], rows: Rows) -> Proble
         kept = columns["kept"] if order is None else columns["kept"][order]
         families.append(family)
         weights.append(None if kept.all() else kept.astype(np.float64))
-    whole = replace(model, knots=knots_s.size).whole_families(knots_s)
+    steps = np.diff(knots_s)
+    share = 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)) / steps.sum()
+    whole = model.whole_families(knots_s, share)
     return Problem(
         motion=model.motion,
         knots_s=knots_s,
@@ -376,7 +379,9 @@ def again(
         before, values = values, solution.values
         if not model.refreshed or np.allclose(before.path, values.path, rtol=1e-12, atol=1e-6):
             break
-    return make_chain(replace(model, knots=knots_s.size), knots_s, values, rows)
+    span = float(np.ptp(knots_s))
+    model = replace(model, since_s=float(knots_s[0]), whole_s=span)
+    return make_chain(model, knots_s, values, rows)
 
 
 def _at_minimum(problem: Problem, values: Values) -> bool:

@@ -67,8 +67,8 @@ class State:
 
     Attributes
     ----------
-    template, settings, lag_s
-        Recording without measurements, how it is smoothed, and the lag.
+    template, settings, lag_s, isam
+        Recording without measurements, how it is smoothed, the lag, and whether iSAM2 solves.
     waiting
         Rows that wait for a start.
     whole
@@ -88,6 +88,7 @@ class State:
     template: Recording
     settings: SmoothSettings
     lag_s: float | None
+    isam: bool = False
     waiting: Rows = field(default_factory=dict)
     whole: Rows = field(default_factory=dict)
     model: Model | None = None
@@ -122,11 +123,12 @@ class State:
             chain=None if self.chain is None else self.chain.copy(),
             out=dict(self.out),
             names=dict(self.names),
-            reach_s=None,
-            newly_duplicate={},
-            newly_late={},
-            dropped=[],
+            dropped=list(self.dropped),
         )
+
+    def afresh(self) -> State:
+        """Return a copy for a new update."""
+        return replace(self.copy(), reach_s=None, newly_duplicate={}, newly_late={}, dropped=[])
 
     @property
     def robust(self) -> bool:
@@ -175,6 +177,7 @@ def collect(state: State, rows: Rows) -> None:
 def _take(state: State, started: Started) -> None:
     """Go on from a start."""
     state.model, state.chain = started.model, started.chain
+    _engine(state)
     state.attempts, state.resolution = started.attempts, started.resolution
     state.started_with = state.total
     recount(state)
@@ -183,6 +186,18 @@ def _take(state: State, started: Started) -> None:
         if kind in TABLES and not columns["kept"].all():
             _note(state, kind, choose({kind: columns}, {kind: ~columns["kept"]})[kind])
     look_over(state)
+
+
+def _engine(state: State) -> None:
+    """Give a new chain to iSAM2, if that is to solve it."""
+    _, chain = state.running
+    if state.isam:
+        # Imported here: GTSAM takes half a second.
+        from geograph.incremental.isam import Isam
+
+        chain.isam = Isam()
+        chain.changed(0)
+        chain.eliminate()
 
 
 def _note(state: State, kind: str, columns: Columns) -> None:
@@ -395,7 +410,8 @@ def _let_go(state: State) -> None:
     leave = 0
     while leave < len(chain.pieces) - 1 and chain.knots_s[leave + 1] <= oldest:
         leave += 1
-    if not leave:
+    if not leave or (state.isam and 2 * leave < len(chain.pieces)):
+        # iSAM2 is made anew for a new prior: as seldom as once for every knot held.
         return
     rows = join([piece.rows for piece in chain.pieces[:leave]])
     state.dropped.append(rows)
@@ -443,13 +459,13 @@ def _weights_changed(state: State) -> bool:
     """Tell whether measurements weigh by how many there are."""
     model, chain = state.running
     correlated = any(sensor.correlation for sensor in model.prepared.sensors)
-    spread = bool(model.whole) and model.knots != len(chain.knots_s) + chain.gone
+    spread = bool(model.whole) and model.whole_s < chain.knots_s[-1] - model.since_s
     return correlated or spread
 
 
 def _weigh_again(state: State) -> None:
     model, chain = state.running
-    state.model = replace(model, knots=len(chain.knots_s) + chain.gone)
+    state.model = model.reaching(chain)
     state.model.linearise(chain, range(len(chain.pieces)))
     chain.eliminate()
 
@@ -523,7 +539,9 @@ def respan(state: State, rows: Rows, low_s: float, high_s: float) -> None:
             if attempt == _ROUNDS - 1:
                 raise
             low_s, high_s = min(low_s, error.low_s), max(high_s, error.high_s)
-    state.model = replace(model, knots=knots.size)
+    assert state.chain is not None
+    _engine(state)
+    state.model = replace(model, since_s=float(knots[0])).reaching(state.chain)
     state.checked = knots.size
 
 
