@@ -178,7 +178,10 @@ class FirstGuess:
         )
         in_frame = own @ poses.axes
         bias = np.array(
-            [np.hypot(s.errors.azimuth_bias_rad, s.errors.elevation_bias_rad) for s in self.sensors]
+            [
+                np.linalg.norm([e.azimuth_bias_rad, e.elevation_bias_rad, e.misalignment_rad])
+                for e in (sensor.errors for sensor in self.sensors)
+            ]
         )[sensor]
         sigma_azimuth = table.sigma_azimuth_rad[rows] * np.where(
             table.isotropic[rows] | azimuth_only, 1.0, np.maximum(cos_e, 1e-3)

@@ -9,6 +9,7 @@ import numpy as np
 
 from geograph.eliminate import response
 from geograph.geodesy import enu_axes
+from geograph.states import MISALIGNMENT
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
 WEAK_SHARE = 0.05
 UNOBSERVABLE_SHARE = 0.3
 _TRADE_OFF = 0.5
+
+# A misalignment is not determined where its sigma stays above this share of the prior's.
+_AS_BEFORE = 0.8
+_BODY_AXES = ("body x (roll)", "body y (pitch)", "body z (yaw)")
 
 # Rise of the cost at one sigma along the weakest direction. A Gaussian posterior has one half; at
 # the first value the bend of a curved one adds half as much again, at the second it exceeds the
@@ -74,6 +79,7 @@ def weak_directions(
         weak = sigma > WEAK_SHARE * distance
         share = f"for {100.0 * weak.mean():.0f} % of the path, at worst"
         sentences.append(_sentence(track, worst, share))
+    sentences += _unseen_misalignments(track)
     bent = _bent_knot(track, distance) if curvature else None
     if not unobservable and bent is not None:
         rise = cost_rise(track, bent)
@@ -176,6 +182,31 @@ def _partners(track: Track, knot: int, direction: NDArray[np.float64], sigma: fl
     ]
 
 
+def _unseen_misalignments(track: Track) -> list[str]:
+    """Name the axes about which a sensor's misalignment is no better known than before."""
+    states = track.problem.states
+    sentences = []
+    for sensor, name in enumerate(track.recording.sensor_names):
+        own = [
+            column for column in states.of_sensor(sensor)
+            if states.constants[column].channel >= MISALIGNMENT
+        ]  # fmt: skip
+        if not own:
+            continue
+        # Scaled by the prior, whose covariance is the identity.
+        values, vectors = np.linalg.eigh(track.marginals.constants[np.ix_(own, own)])
+        for value, axis in zip(values[::-1], vectors.T[::-1], strict=True):
+            if value < _AS_BEFORE**2:
+                break
+            sigma = float(np.degrees(np.sqrt(value) * states.constants[own[0]].sigma))
+            sentences.append(
+                f"the misalignment of {name} about {_named(axis, _BODY_AXES)} is not determined: "
+                f"its 1-sigma stays at {sigma:.3g} deg; a turning flight, or a known height of "
+                "the object, would tell"
+            )
+    return sentences
+
+
 def _direction(track: Track, knot: int, direction: NDArray[np.float64]) -> str:
     """Name a direction by its largest components: up, east, north, or the axes."""
     if track.frame == "ecef":
@@ -183,10 +214,15 @@ def _direction(track: Track, knot: int, direction: NDArray[np.float64]) -> str:
         names = ("east", "north", "up")
     else:
         parts, names = direction, ("x", "y", "z")
+    return _named(parts, names)
+
+
+def _named(parts: NDArray[np.float64], names: tuple[str, ...]) -> str:
+    """Return the names of a unit vector's largest components."""
     order = np.argsort(-np.abs(parts))
     if abs(parts[order[0]]) > 0.95:
-        return names[order[0]]
-    lead = np.sign(parts[order[0]])
+        return str(names[order[0]])
+    lead = float(np.sign(parts[order[0]]))
     text = [
         f"{lead * parts[index]:+.2f} {names[index]}" for index in order if abs(parts[index]) > 0.3
     ]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.attitude import check_attitude
 from geograph.errors import InputError
 from geograph.factors.refraction import refraction
 from geograph.families import (
@@ -172,7 +173,8 @@ def prepare(recording: Recording) -> Prepared:
     Raises
     ------
     InputError
-        If it has no measurement, a sensor with axes that are not supported, a constraint at a time
+        If it has no measurement, a sensor with axes that are not supported or an implausible
+        attitude, a constraint at a time
         when nothing was measured yet or any more, or arrivals whose signals take no time.
     """
     tables = recording.tables
@@ -189,6 +191,8 @@ def prepare(recording: Recording) -> Prepared:
             path=recording.path,
         )
     sensors = tuple(recording.sensors.values())
+    for sensor in sensors:
+        check_attitude(sensor, recording.frame)
     table = tables.get("bearings")
     bearings = without_refraction(table, sensors) if isinstance(table, Bearings) else None
     used = [column for table in tables.values() for column in _sensor_columns(table)]

@@ -62,6 +62,8 @@ class Smoother:
         Share of the information that lies between the knots.
     undecided
         Whether outliers show, but not which measurements they are.
+    rows
+        Shape (n,): scalars of each measurement.
     attempts
         What the first guesses led to, the best first.
     rivals
@@ -83,7 +85,7 @@ class Smoother:
     def __post_init__(self) -> None:
         families = self.prepared.sensor_families()
         self.rejected = np.zeros(sum(len(family) for family in families), dtype=np.bool_)
-        self._rows = np.concatenate([family.row_counts for family in families])
+        self.rows = np.concatenate([family.row_counts for family in families])
         # Outliers are judged among those of the same sensor and kind.
         sensors = len(self.prepared.sensors)
         kinds = [family.sensor + i * sensors for i, family in enumerate(families)]
@@ -137,7 +139,7 @@ class Smoother:
     def _suspect(self, problem: Problem, values: Values) -> bool:
         """Tell whether a first guess shows residuals far outside those of their sensor."""
         square = self.squares(problem, values)
-        return bool((square > thresholds(square, self._rows, self.group)).any())
+        return bool((square > thresholds(square, self.rows, self.group)).any())
 
     def start(self, fit: PathFit, loss: Loss) -> tuple[Problem, Values]:
         """Return the problem and the values that a first guess leads to."""
@@ -190,7 +192,7 @@ class Smoother:
 
     def _reject(self, trial: Loss) -> None:
         """Find the outliers, if there are any, and solve without them."""
-        rows, group = self._rows, self.group
+        rows, group = self.rows, self.group
         plain = self.problem.with_weights(self._weights(None), Loss("none"))
         square = self.squares(self.problem, self.solution.values)
         if self.problem.loss != trial:

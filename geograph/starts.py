@@ -13,7 +13,7 @@ from geograph.knots import Resolution, automatic_spacing, check_memory, place_kn
 from geograph.motion import Density, Motion
 from geograph.problem import PathPrior, Problem
 from geograph.process_noise import guess_noise
-from geograph.states import CLOCK, ELEVATION, POSITION
+from geograph.states import CLOCK, ELEVATION, MISALIGNMENT, POSITION
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -148,7 +148,7 @@ def _blur(prepared: Prepared, resolved: Resolution) -> float:
     for state in prepared.states.constants:
         if state.drift:
             continue
-        if state.channel <= ELEVATION:
+        if state.channel <= ELEVATION or state.channel >= MISALIGNMENT:
             angles.append(state.sigma / resolved.sigma_rad)
         elif state.channel == CLOCK:
             lengths.append(state.sigma * speed / resolved.sigma_m)

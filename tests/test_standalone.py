@@ -64,6 +64,10 @@ def test_bearing(seed, order, form, between, biased):
         options["error_key"] = len(vectors)
         vectors.append(rng.normal(size=2) * 0.1)
         steps.append(np.full(2, 1e-4))
+    if rng.random() < 0.5:
+        options["misalignment_key"] = len(vectors)
+        vectors.append(rng.normal(size=3) * rng.choice([1e-6, 0.05, 1.0]))
+        steps.append(np.full(3, 1e-4))
     factor = bearing_factor(
         0,
         rng.uniform(-0.5, 1.0),

@@ -42,6 +42,9 @@ _SENSOR_KEYS = (
     "position_m",
     "trajectory",
     "axes",
+    "attitude_deg",
+    "attitude_rad",
+    "unusual_attitude",
     "errors",
     "correlation",
     "refraction",
@@ -58,8 +61,8 @@ _METRE_KEYS = {
     "clock_instability_m_sqrt_s": "clock_instability_s_sqrt_s",
 }
 """Errors of clocks by the way of the signal in their time: divided by the speed of propagation."""
-_AXES = ("enu", "xyz")
-_LATER_AXES = ("body", "radec")
+_AXES = ("enu", "xyz", "body")
+_LATER_AXES = ("radec",)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -74,6 +77,8 @@ class SensorEntry:
     correlation: float
     refraction: Refraction
     platform_process_noise: float | None
+    attitude_rad: NDArray[np.float64] | None
+    unusual_attitude: bool
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -188,6 +193,15 @@ def _sensor(
     if refraction != "none" and axes != "enu":
         document.fail((*path, "refraction"), f"refraction needs axes enu; given axes {axes}")
     errors = _errors(document, (*path, "errors"), table.get("errors", {}), speed_m_s)
+    if errors.misalignment_rad > 0.0 and axes != "body":
+        given = [key for key in table["errors"] if key.startswith("misalignment")]
+        document.fail(
+            (*path, "errors", given[0]),
+            f"misalignment needs axes body, which it turns; given axes {axes}",
+        )
+    unusual = table.get("unusual_attitude", False)
+    if not isinstance(unusual, bool):
+        document.fail((*path, "unusual_attitude"), f"is {shown(unusual)}; expected true or false")
     return SensorEntry(
         name=name,
         position_m=_position(document, path, table, frame) if trajectory is None else None,
@@ -203,7 +217,36 @@ def _sensor(
         ),
         refraction=cast("Refraction", refraction),
         platform_process_noise=_platform(document, path, table, errors),
+        attitude_rad=_attitude(document, path, table, axes),
+        unusual_attitude=unusual,
     )
+
+
+def _attitude(
+    document: Document, path: KeyPath, table: dict[str, Any], axes: Axes
+) -> NDArray[np.float64] | None:
+    """Return yaw, pitch and roll of a fixed sensor, radians, shape (3,), or None."""
+    names = [name for name in ("attitude_deg", "attitude_rad") if name in table]
+    needed = axes == "body" and "trajectory" not in table
+    if not names and not needed:
+        return None
+    if not names:
+        document.fail(
+            (*path, "axes"),
+            "axes body of a fixed sensor need its attitude; expected attitude_deg = [yaw, pitch, "
+            "roll]; add it",
+        )
+    key = (*path, names[-1])
+    if len(names) > 1:
+        document.fail(
+            key, "attitude_rad is there beside attitude_deg; expected one of them; remove the other"
+        )
+    if not needed:
+        given = f"given axes {axes}" if axes != "body" else "a moving one has it in its trajectory"
+        document.fail(key, f"is for fixed sensors with axes body; {given}; remove it")
+    limit = 360.0 if names[0] == "attitude_deg" else 2.0 * math.pi
+    angles = np.array(_three(document, key, table[names[0]], "[yaw, pitch, roll]", limit))
+    return np.radians(angles) if names[0] == "attitude_deg" else angles
 
 
 def _platform(
@@ -309,11 +352,6 @@ def _errors(document: Document, path: KeyPath, value: object, speed_m_s: float) 
                 "of them; remove the other",
             )
         given[name] = key
-        if name == "misalignment_rad":
-            document.fail(
-                where,
-                "misalignment needs axes body, which this version of geograph does not support yet",
-            )
         number = document.number(where, entry, high=MAX_VALUE)
         if number < 0.0:
             document.fail(where, f"prior sigma is {number:g}; expected at least 0 (0: known)")

@@ -80,6 +80,14 @@ def _sensor_lines(sensor: Sensor, trajectory: str | None, frame: str) -> list[st
         name, values = ("position_m", sensor.position_m) if geodetic is None else geodetic
         lines.append(f"{name} = [{', '.join(_number(value) for value in values.tolist())}]")
     lines.append(f"axes = {_text(sensor.axes)}")
+    if sensor.attitude_rad is not None:
+        degrees = exact_degrees(sensor.attitude_rad)
+        name, angles = ("attitude_rad", sensor.attitude_rad)
+        if degrees is not None:
+            name, angles = ("attitude_deg", degrees)
+        lines.append(f"{name} = [{', '.join(_number(value) for value in angles.tolist())}]")
+    if sensor.unusual_attitude:
+        lines.append("unusual_attitude = true")
     if sensor.correlation:
         lines.append(f"correlation = {_number(sensor.correlation)}")
     if sensor.refraction != "none":

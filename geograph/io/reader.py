@@ -150,7 +150,14 @@ def _read_sensor(source: Source, document: Document, entry: SensorEntry, frame: 
                 "or .parquet file in its folder",
             )
         trajectory = _read_trajectory(source, entry.trajectory, frame)
-    return Sensor(
+        if entry.axes == "body" and trajectory.attitude_rad is None:
+            raise InputError(
+                f"has no yaw, pitch and roll, and sensor {shown(entry.name)} has axes body; "
+                "expected yaw_deg, pitch_deg and roll_deg",
+                path=source.place(entry.trajectory),
+                line=1,
+            )
+    sensor = Sensor(
         name=entry.name,
         position_m=entry.position_m,
         trajectory=trajectory,
@@ -159,7 +166,19 @@ def _read_sensor(source: Source, document: Document, entry: SensorEntry, frame: 
         correlation=entry.correlation,
         refraction=entry.refraction,
         platform_process_noise=entry.platform_process_noise,
+        attitude_rad=entry.attitude_rad,
+        unusual_attitude=entry.unusual_attitude,
     )
+    if entry.trajectory is not None and entry.axes == "body":
+        from geograph.attitude import check_attitude
+
+        try:
+            check_attitude(sensor, frame)
+        except InputError as error:
+            raise InputError(
+                error.reason, path=source.place(entry.trajectory), column=error.column
+            ) from None
+    return sensor
 
 
 def _read_trajectory(source: Source, name: str, frame: Frame) -> Trajectory:
