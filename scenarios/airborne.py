@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from geograph.constants import SPEED_OF_LIGHT_M_S
-from geograph.scenarios.terrain import HILLS, MOUNTAINS, Pin, Terrain, make_terrain
+from geograph.scenarios.landscape import HILLS, MOUNTAINS, Landscape, Pin, make_landscape
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -188,7 +188,7 @@ class Airborne:
         return np.arange(1, self.steps + 1) / RATE_HZ
 
     @property
-    def terrain(self) -> Terrain:
+    def terrain(self) -> Landscape:
         """The ground."""
         return land(self.land)
 
@@ -214,15 +214,15 @@ class Airborne:
 
 
 @cache
-def land(name: Land) -> Terrain:
+def land(name: Land) -> Landscape:
     """Return the ground of the scenarios: one of two, the same at every call."""
     if name == "mountains":
-        return make_terrain(MOUNTAINS, seed=3)
+        return make_landscape(MOUNTAINS, seed=3)
     pins = [
         Pin(place_m=(place[0], place[1]), height_m=place[2], slope=slope)
         for place, slope in ((PARALLEL_TARGET_M, PARALLEL_SLOPE), (CROSSED_TARGET_M, (0.0, 0.0)))
     ]
-    return make_terrain(HILLS, seed=1, pins=pins)
+    return make_landscape(HILLS, seed=1, pins=pins)
 
 
 def _on_ground(name: Land, x_m: float, y_m: float) -> tuple[float, float, float]:
@@ -276,9 +276,7 @@ def beyond() -> dict[str, Airborne]:
     return {
         scenario.name: scenario
         for scenario in (
-            replace(
-                one, name="mountains", land="mountains", target_m=mountain, receivers=high[:1]
-            ),
+            replace(one, name="mountains", land="mountains", target_m=mountain, receivers=high[:1]),
             replace(two, name="road", road_speed_m_s=20.0),
             replace(
                 two,

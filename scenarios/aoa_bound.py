@@ -43,7 +43,7 @@ def angle_rows(scenario: Airborne) -> NDArray[np.float64]:
     elevation /= np.sum(sight**2, axis=-1)[..., None]
     if scenario.azimuth_only:
         elevation[:] = 0.0
-    return np.einsum("knmi,knij->knmj", np.stack([azimuth, elevation], axis=-2), axes)
+    return np.asarray(np.einsum("knmi,knij->knmj", np.stack([azimuth, elevation], axis=-2), axes))
 
 
 def recursive_bound(scenario: Airborne, *, height_known: bool = False) -> NDArray[np.float64]:

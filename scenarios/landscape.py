@@ -148,8 +148,8 @@ class _Fold:
 
 
 @dataclass(frozen=True, eq=False)
-class Terrain:
-    """Smooth ground over the whole plane; made by :func:`make_terrain`.
+class Landscape:
+    """Smooth ground over the whole plane; made by :func:`make_landscape`.
 
     Attributes
     ----------
@@ -237,7 +237,7 @@ def _bump(
     return factor * bell, gradient
 
 
-def make_terrain(relief: Relief, *, seed: int, pins: Sequence[Pin] = ()) -> Terrain:
+def make_landscape(relief: Relief, *, seed: int, pins: Sequence[Pin] = ()) -> Landscape:
     """Draw a terrain; the same seed gives the same ground.
 
     Parameters
@@ -270,13 +270,13 @@ def make_terrain(relief: Relief, *, seed: int, pins: Sequence[Pin] = ()) -> Terr
         across = 0.6 * np.pi / relief.folds_m * np.array([-np.sin(way), np.cos(way)])
         turns = rng.uniform(0.0, 2.0 * np.pi, 2)
         folds.append(_Fold(kind, size, along, turns[0], 0.8, across, turns[1]))
-    bare = Terrain(
+    bare = Landscape(
         relief, wave, amplitude, phase, tuple(folds), np.zeros((0, 2)), np.zeros((0, 3))
     )
     return _pinned(bare, pins) if pins else bare
 
 
-def _pinned(bare: Terrain, pins: Sequence[Pin]) -> Terrain:
+def _pinned(bare: Landscape, pins: Sequence[Pin]) -> Landscape:
     """Return the terrain with the pins' heights and slopes: three linear equations for each."""
     place = np.array([pin.place_m for pin in pins])
     height, gradient = bare.evaluate(place[:, 0], place[:, 1])
@@ -288,7 +288,7 @@ def _pinned(bare: Terrain, pins: Sequence[Pin]) -> Terrain:
             more, slope = _bump(place - pin, np.eye(3)[part])
             matrix[:, 3 * j + part] = np.concatenate([more[:, None], slope], axis=1).ravel()
     weight = np.linalg.solve(matrix, missing.ravel()).reshape(-1, 3)
-    return Terrain(
+    return Landscape(
         bare.relief, bare.wave, bare.amplitude_m, bare.phase, bare.folds, place, weight
     )
 
@@ -342,12 +342,12 @@ class Raster:
     @property
     def x_m(self) -> NDArray[np.float64]:
         """Shape (columns,): x of the centres."""
-        return self.west_m + self.spacing_m * np.arange(self.columns)
+        return self.west_m + self.spacing_m * np.arange(self.columns, dtype=np.float64)
 
     @property
     def y_m(self) -> NDArray[np.float64]:
         """Shape (rows,): y of the centres, falling."""
-        return self.north_m - self.spacing_m * np.arange(self.rows)
+        return self.north_m - self.spacing_m * np.arange(self.rows, dtype=np.float64)
 
     def windows(self, size: int) -> Iterator[tuple[slice, slice]]:
         """Yield rows and columns of square windows that cover the raster."""
@@ -361,7 +361,7 @@ class Raster:
 
 def write_geotiff(
     path: Path,
-    terrain: Terrain,
+    terrain: Landscape,
     raster: Raster,
     *,
     crs: str | None = None,
@@ -391,7 +391,7 @@ def write_geotiff(
 
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
-    from rasterio.transform import from_origin
+    from rasterio.transform import Affine
     from rasterio.windows import Window
 
     step = raster.spacing_m
@@ -408,7 +408,7 @@ def write_geotiff(
             count=1,
             dtype="float32",
             crs=crs,
-            transform=from_origin(*corner, step, step),
+            transform=Affine(step, 0.0, corner[0], 0.0, -step, corner[1]),
             nodata=NODATA,
             tiled=True,
             blockxsize=window,
