@@ -7,7 +7,7 @@ here knows of files, recordings or solvers.
 ``bearing`` (azimuth and elevation), ``attitude`` (body axes, misalignment), ``light_time``
 (emission and reception), ``refraction``, ``kinematics`` (Gaussian-process priors, transitions,
 interpolation), ``gravity`` (free fall), ``arrival`` (light time to moving sensors, Doppler),
-``difference`` (of arrival time and received frequency), ``constraints`` (height, speed),
+``difference`` (of arrival time and received frequency), ``constraints`` (height, speed), ``terrain`` (height above ground),
 ``adapter`` (GTSAM's callback), ``standalone``, ``standalone_radio`` and ``standalone_priors``
 (factors for anybody's graph), ``scene`` (receivers of radio signals), ``noise`` (of stacked
 measurements).
@@ -22,7 +22,12 @@ from geograph.factors.standalone import (
     kinematic_factor,
     random_walk_factor,
 )
-from geograph.factors.standalone_priors import altitude_factor, position_fix_factor, prior_factor
+from geograph.factors.standalone_priors import (
+    altitude_factor,
+    position_fix_factor,
+    prior_factor,
+    terrain_factor,
+)
 from geograph.factors.standalone_radio import (
     arrivals_factor,
     frequency_difference_factor,
@@ -46,6 +51,7 @@ __all__ = [
     "position_fix_factor",
     "prior_factor",
     "random_walk_factor",
+    "terrain_factor",
     "time_difference_factor",
     "time_differences_factor",
     "vector_factor",

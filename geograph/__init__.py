@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from geograph.errors import GeographError, InputError, SolveError
     from geograph.graph import GtsamGraph, build
     from geograph.io import read, write
+    from geograph.likelihood import LikelihoodMap
     from geograph.measurements import (
         Arrivals,
         Bearings,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from geograph.signal import Signal
     from geograph.smoother import smooth
     from geograph.solver import Status
+    from geograph.terrain import Terrain
     from geograph.track import SensorEstimate, Track, TrackPoints
 
 __version__ = "0.1.0"
@@ -49,6 +51,7 @@ __all__ = [
     "GeographError",
     "GtsamGraph",
     "InputError",
+    "LikelihoodMap",
     "PathBound",
     "Recording",
     "Sensor",
@@ -58,6 +61,7 @@ __all__ = [
     "SmoothSettings",
     "SolveError",
     "Status",
+    "Terrain",
     "TimeDifferences",
     "Track",
     "TrackPoints",
@@ -84,6 +88,7 @@ _HOMES = {
     "GeographError": "geograph.errors",
     "GtsamGraph": "geograph.graph",
     "InputError": "geograph.errors",
+    "LikelihoodMap": "geograph.likelihood",
     "PathBound": "geograph.bounds",
     "Recording": "geograph.recording",
     "Sensor": "geograph.sensors",
@@ -93,6 +98,7 @@ _HOMES = {
     "SmoothSettings": "geograph.recording",
     "SolveError": "geograph.errors",
     "Status": "geograph.solver",
+    "Terrain": "geograph.terrain",
     "TimeDifferences": "geograph.measurements",
     "Track": "geograph.track",
     "TrackPoints": "geograph.track",

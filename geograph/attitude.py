@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,6 +91,8 @@ def check_attitude(sensor: Sensor, frame: Frame) -> None:
         )
 
 
+# A map of the bound asks for every cell.
+@lru_cache(maxsize=64)
 def attitude_question(trajectory: Trajectory, frame: Frame) -> tuple[int, str] | None:
     """Return what is implausible in the attitudes of a trajectory, with the sample; None: nothing.
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geograph.attitude import AttitudeSpline
 from geograph.constants import EARTH_ROTATION_RAD_S
 from geograph.errors import InputError
 from geograph.factors.arrival import SensorMotion
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from geograph.attitude import AttitudeSpline
     from geograph.platforms import StraightLine
     from geograph.recording import Frame
     from geograph.sensors import Sensor, Trajectory
@@ -94,8 +94,8 @@ class SensorGeometry:
                 self._moving[index] = True
                 fixes = sensor.trajectory
                 if sensor.axes == "body":
-                    assert fixes.attitude_rad is not None
-                    self._attitudes[index] = AttitudeSpline(fixes.time_s, fixes.attitude_rad)
+                    assert fixes.attitude is not None
+                    self._attitudes[index] = fixes.attitude
                 self._movers[index] = (
                     fixes
                     if sensor.platform_process_noise is None

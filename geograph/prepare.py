@@ -17,10 +17,12 @@ from geograph.families import (
     FixFamily,
     FrequencyDifferenceFamily,
     SpeedFamily,
+    TerrainFamily,
     TimeDifferenceFamily,
     World,
 )
 from geograph.frames import SensorGeometry
+from geograph.ground import check_ground
 from geograph.measurements import Arrivals, Bearings, FrequencyDifferences, TimeDifferences
 from geograph.states import SensorStates
 from geograph.time_shift import TimeShift, time_shift
@@ -148,7 +150,7 @@ class Prepared:
         table = self.recording.constraints
         if table is None:
             return families
-        for family in (AltitudeFamily, SpeedFamily):
+        for family in (AltitudeFamily, SpeedFamily, TerrainFamily):
             rows = np.array([kind == family.name for kind in table.kind], dtype=bool)
             if rows.any():
                 whole = family(
@@ -157,6 +159,7 @@ class Prepared:
                     sigma=table.sigma[rows],
                     line=table.line[rows],
                     frame=self.recording.frame,
+                    surface=self.recording.terrain,
                 )
                 families.append(whole.expanded(knots_s))
         return families
@@ -173,8 +176,8 @@ def prepare(recording: Recording) -> Prepared:
     Raises
     ------
     InputError
-        If it has no measurement, a sensor with axes that are not supported or an implausible
-        attitude, a constraint at a time
+        If it has no measurement, a sensor with axes that are not supported, an implausible
+        attitude or a place below the ground, a constraint at a time
         when nothing was measured yet or any more, or arrivals whose signals take no time.
     """
     tables = recording.tables
@@ -193,6 +196,7 @@ def prepare(recording: Recording) -> Prepared:
     sensors = tuple(recording.sensors.values())
     for sensor in sensors:
         check_attitude(sensor, recording.frame)
+    check_ground(recording)
     table = tables.get("bearings")
     bearings = without_refraction(table, sensors) if isinstance(table, Bearings) else None
     used = [column for table in tables.values() for column in _sensor_columns(table)]

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
     from scipy.interpolate import CubicSpline
 
+    from geograph.attitude import AttitudeSpline
+
 Axes = Literal["enu", "xyz", "body", "radec"]
 """How a sensor's bearings are measured; see docs/conventions.md."""
 
@@ -112,6 +114,15 @@ class Trajectory:
 
         # A parabola or a line where there are too few points for the not-a-knot condition.
         return CubicSpline(self.time_s, self.position_m, axis=0)
+
+    @cached_property
+    def attitude(self) -> AttitudeSpline | None:
+        """The attitude between samples, or None where it is not known."""
+        if self.attitude_rad is None:
+            return None
+        from geograph.attitude import AttitudeSpline
+
+        return AttitudeSpline(self.time_s, self.attitude_rad)
 
     def position_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
         """Return positions, shape (..., 3), metres, at times in seconds (any shape)."""

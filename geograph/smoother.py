@@ -32,6 +32,7 @@ from geograph.threads import single_blas_thread
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.hypotheses import Hypothesis
     from geograph.initialise import PathFit
     from geograph.knots import Resolution
     from geograph.motion import Motion
@@ -68,6 +69,8 @@ class Smoother:
         What the first guesses led to, the best first.
     rivals
         Other paths that fit as well.
+    hypotheses
+        All minima that were found, with their weights, the estimate first; empty if it is alone.
     """
 
     prepared: Prepared
@@ -79,6 +82,7 @@ class Smoother:
     rejected: NDArray[np.bool_] = field(init=False)
     attempts: list[Attempt] = field(default_factory=list)
     rivals: list[Rival] = field(default_factory=list)
+    hypotheses: list[Hypothesis] = field(default_factory=list)
     ignored: float = 0.0
     undecided: bool = False
 
@@ -130,7 +134,9 @@ class Smoother:
         """Hold the estimate against what the other first guesses led to."""
         if self.solution.status is not Status.CONVERGED or len(self.attempts) < 2:
             return
-        best, self.rivals = find_rivals(self.problem, self.solution, self.attempts[1:])
+        best, self.rivals, self.hypotheses = find_rivals(
+            self.problem, self.solution, self.attempts[1:]
+        )
         if best is not self.solution:
             self.iterations += best.iterations
             self.solution = best

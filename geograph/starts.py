@@ -14,6 +14,7 @@ from geograph.motion import Density, Motion
 from geograph.problem import PathPrior, Problem
 from geograph.process_noise import guess_noise
 from geograph.states import CLOCK, ELEVATION, MISALIGNMENT, POSITION
+from geograph.terrain_starts import ground_height, levelled, terrain_fits
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,7 +38,7 @@ def first_fits(prepared: Prepared, *, static: bool) -> list[PathFit]:
     static
         Whether the object stands still.
     """
-    recording = prepared.recording
+    recording = levelled(prepared.recording)
     fits: list[PathFit] = []
     if prepared.bearings is not None:
         finder = FirstGuess(
@@ -48,7 +49,11 @@ def first_fits(prepared: Prepared, *, static: bool) -> list[PathFit]:
             recording.propagation_speed_m_s,
             static,
         )
-        fits += finder.fits()
+        above, terrain = ground_height(prepared.recording.constraints), recording.terrain
+        if above is not None and terrain is not None:
+            fits += terrain_fits(finder, terrain, above)
+        if not fits:
+            fits += finder.fits()
     if set(recording.tables) != {"bearings"}:
         from geograph.range_starts import range_fits
 

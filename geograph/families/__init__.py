@@ -9,7 +9,7 @@ and the residual report all call the same pass.
 from geograph.families.arrivals import ArrivalFamily
 from geograph.families.base import Evaluation, Family, Report, SensorFamily, Values
 from geograph.families.bearings import BearingFamily
-from geograph.families.constraints import AltitudeFamily, SpeedFamily
+from geograph.families.constraints import AltitudeFamily, SpeedFamily, TerrainFamily
 from geograph.families.differences import FrequencyDifferenceFamily, TimeDifferenceFamily
 from geograph.families.fixes import FixFamily
 from geograph.families.rays import World
@@ -25,6 +25,7 @@ __all__ = [
     "Report",
     "SensorFamily",
     "SpeedFamily",
+    "TerrainFamily",
     "TimeDifferenceFamily",
     "Values",
     "World",

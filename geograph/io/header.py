@@ -13,7 +13,7 @@ from geograph.constants import SPEED_OF_LIGHT_M_S
 from geograph.errors import InputError
 from geograph.io.messages import shown
 from geograph.io.tables import MAX_COORDINATE_M, MAX_VALUE
-from geograph.recording import Frame, LossName, MotionName, SmoothSettings
+from geograph.recording import Frame, HeightDatum, LossName, MotionName, SmoothSettings
 from geograph.sensors import SensorErrors
 
 if TYPE_CHECKING:
@@ -36,6 +36,8 @@ _TOP_KEYS = (
     "sensors",
     "smooth",
     "terrain",
+    "terrain_heights",
+    "geoid_undulation_m",
 )
 _SENSOR_KEYS = (
     "geodetic",
@@ -82,6 +84,15 @@ class SensorEntry:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class TerrainEntry:
+    """The ground as the header has it: its file, and what its heights are above."""
+
+    file: str
+    heights: HeightDatum | None
+    geoid_undulation_m: float | None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Header:
     """What ``recording.toml`` says."""
 
@@ -91,16 +102,13 @@ class Header:
     propagation_sigma_m_s: float
     sensors: dict[str, SensorEntry]
     settings: SmoothSettings
+    terrain: TerrainEntry | None
 
 
 def read_header(document: Document) -> Header:
     """Return what a header says; raises InputError at the first thing that is wrong in it."""
     _check_version(document)
     root = document.table((), document.root, _TOP_KEYS)
-    if "terrain" in root:
-        document.fail(
-            ("terrain",), "terrain is not supported by this version of geograph yet; remove it"
-        )
     if "frame" not in root:
         document.fail((), "frame is missing; expected ecef or local; add it")
     frame = cast("Frame", document.choice(("frame",), root["frame"], get_args(Frame)))
@@ -119,6 +127,38 @@ def read_header(document: Document) -> Header:
             name: _sensor(document, name, entry, frame, speed) for name, entry in entries.items()
         },
         settings=_settings(document, root.get("smooth", {})),
+        terrain=_terrain(document, root, frame),
+    )
+
+
+def _terrain(document: Document, root: dict[str, Any], frame: Frame) -> TerrainEntry | None:
+    keys = [key for key in ("terrain_heights", "geoid_undulation_m") if key in root]
+    if "terrain" not in root:
+        if keys:
+            document.fail((keys[0],), f"{keys[0]} needs a terrain; name its GeoTIFF or remove it")
+        return None
+    if keys and frame == "local":
+        document.fail(
+            (keys[0],),
+            f"{keys[0]} is for the frame ecef; in a local frame the raster's heights are z; remove "
+            "it",
+        )
+    file = _file_name(document, ("terrain",), root["terrain"], (".tif", ".tiff"), "GeoTIFF")
+    heights = root.get("terrain_heights")
+    if heights is not None:
+        heights = document.choice(("terrain_heights",), heights, get_args(HeightDatum))
+    undulation = root.get("geoid_undulation_m")
+    if undulation is not None:
+        # The geoid is nowhere further from the ellipsoid.
+        undulation = document.number(("geoid_undulation_m",), undulation, low=-120.0, high=120.0)
+        if heights == "ellipsoid":
+            document.fail(
+                ("geoid_undulation_m",),
+                "geoid_undulation_m is of heights above the geoid, and terrain_heights is "
+                "ellipsoid; remove one of them",
+            )
+    return TerrainEntry(
+        file=file, heights=cast("HeightDatum | None", heights), geoid_undulation_m=undulation
     )
 
 
@@ -208,7 +248,13 @@ def _sensor(
         trajectory=(
             None
             if trajectory is None
-            else _trajectory_name(document, (*path, "trajectory"), trajectory)
+            else _file_name(
+                document,
+                (*path, "trajectory"),
+                trajectory,
+                (".csv", ".parquet"),
+                ".csv or .parquet file",
+            )
         ),
         axes=axes,
         errors=errors,
@@ -325,15 +371,15 @@ def _three(
     return x, y, z
 
 
-def _trajectory_name(document: Document, path: KeyPath, value: object) -> str:
+def _file_name(
+    document: Document, path: KeyPath, value: object, suffixes: tuple[str, ...], what: str
+) -> str:
+    """Return the name of a file in the recording."""
     name = document.text_of(path, value)
     parts = name.split("/")
     plain_path = all(part and part != ".." for part in parts) and "\\" not in name
-    if not plain_path or not name.isprintable() or not name.endswith((".csv", ".parquet")):
-        document.fail(
-            path,
-            f"is {shown(name)}; expected the name of a .csv or .parquet file in the recording",
-        )
+    if not plain_path or not name.isprintable() or not name.endswith(suffixes):
+        document.fail(path, f"is {shown(name)}; expected the name of a {what} in the recording")
     return name
 
 

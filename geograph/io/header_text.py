@@ -7,6 +7,7 @@ import math
 import re
 from dataclasses import fields
 from datetime import UTC
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from geograph.recording import Recording
     from geograph.sensors import Sensor
+    from geograph.terrain import Terrain
 
 
 def header_text(recording: Recording, trajectories: Mapping[str, str], target: Path) -> str:
@@ -58,6 +60,13 @@ def header_text(recording: Recording, trajectories: Mapping[str, str], target: P
         lines.append(f"propagation_speed_m_s = {_number(recording.propagation_speed_m_s)}")
     if recording.propagation_sigma_m_s:
         lines.append(f"propagation_sigma_m_s = {_number(recording.propagation_sigma_m_s)}")
+    terrain = recording.terrain
+    if terrain is not None:
+        lines.append(f"terrain = {_text(terrain_name(terrain))}")
+        if terrain.heights is not None:
+            lines.append(f"terrain_heights = {_text(terrain.heights)}")
+        if terrain.geoid_undulation_m is not None:
+            lines.append(f"geoid_undulation_m = {_number(terrain.geoid_undulation_m)}")
     for name, sensor in recording.sensors.items():
         if not valid_sensor_name(name) or name != sensor.name:
             raise InputError(
@@ -68,6 +77,12 @@ def header_text(recording: Recording, trajectories: Mapping[str, str], target: P
         lines += _sensor_lines(sensor, trajectories.get(name), recording.frame)
     settings = _settings_lines(recording.settings)
     return "\n".join([*lines, "", "[smooth]", *settings]) + "\n"
+
+
+def terrain_name(terrain: Terrain) -> str:
+    """Return the name of the file that a terrain is written to."""
+    stem = PurePath(terrain.raster.name).stem
+    return f"{stem or 'terrain'}.tif"
 
 
 def _sensor_lines(sensor: Sensor, trajectory: str | None, frame: str) -> list[str]:

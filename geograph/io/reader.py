@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from geograph.recording import Frame
+    from geograph.terrain import Terrain
 
 TABLES = (*MEASUREMENT_COLUMNS, "constraints", "truth")
-LATER_CONSTRAINTS = ("height_above_terrain_m",)
 
 _POSITION = tuple(ColumnSpec(name, limit=MAX_COORDINATE_M) for name in ("x_m", "y_m", "z_m"))
 _VELOCITY = tuple(ColumnSpec(name, required=False) for name in ("vx_m_s", "vy_m_s", "vz_m_s"))
@@ -104,6 +104,7 @@ def read(path: Path | str) -> Recording:
     }
     _check_file_names(source, header)
     measured = read_measurements(source, document, sensors, speed_m_s=header.propagation_speed_m_s)
+    terrain = _read_terrain(source, document, header)
     recording = Recording(
         name=source.name,
         frame=header.frame,
@@ -112,13 +113,18 @@ def read(path: Path | str) -> Recording:
         arrivals=measured.arrivals,
         time_differences=measured.time_differences,
         frequency_differences=measured.frequency_differences,
-        constraints=_read_constraints(source),
+        constraints=_read_constraints(source, terrain),
+        terrain=terrain,
         epoch=header.epoch,
         propagation_speed_m_s=header.propagation_speed_m_s,
         propagation_sigma_m_s=header.propagation_sigma_m_s,
         settings=header.settings,
         path=source.path,
     )
+    if terrain is not None:
+        from geograph.ground import check_ground
+
+        check_ground(recording)
     return replace(recording, truth=_read_truth(source, recording.time_span_s))
 
 
@@ -208,7 +214,28 @@ def _read_trajectory(source: Source, name: str, frame: Frame) -> Trajectory:
     return Trajectory(table.numbers["time_s"], position, attitude)
 
 
-def _read_constraints(source: Source) -> Constraints | None:
+def _read_terrain(source: Source, document: Document, header: Header) -> Terrain | None:
+    entry = header.terrain
+    if entry is None:
+        return None
+    if not source.has(entry.file):
+        document.fail(
+            ("terrain",),
+            f"{shown(entry.file)} is not in the recording; expected the name of a GeoTIFF in its "
+            "folder",
+        )
+    from geograph.terrain import Terrain
+
+    return Terrain.from_file(
+        source.raster_location(entry.file),
+        frame=header.frame,
+        heights=entry.heights,
+        geoid_undulation_m=entry.geoid_undulation_m,
+        name=str(source.place(entry.file)),
+    )
+
+
+def _read_constraints(source: Source, terrain: Terrain | None) -> Constraints | None:
     name = find_table(source, "constraints")
     if name is None:
         return None
@@ -218,11 +245,16 @@ def _read_constraints(source: Source) -> Constraints | None:
         if kind in get_args(ConstraintKind):
             continue
         row = int(np.argmax(kinds.codes == code))
-        if kind in LATER_CONSTRAINTS:
-            what = f"kind {kind} is not supported by this version of geograph yet"
-        else:
-            what = f"unknown kind {shown(kind)}" if kind else "empty cell"
+        what = f"unknown kind {shown(kind)}" if kind else "empty cell"
         table.fail(row, "kind", expected_one_of(kind, get_args(ConstraintKind)), given=what)
+    ground = np.array([kind == "height_above_terrain_m" for kind in kinds.values])[kinds.codes]
+    if terrain is None and ground.any():
+        table.fail(
+            int(np.argmax(ground)),
+            "kind",
+            "expected a terrain in recording.toml beside it; name its GeoTIFF there",
+            given="height_above_terrain_m",
+        )
     value, sigma = table.numbers["value"], table.numbers["sigma"]
     table.check(sigma >= 1e-12, "sigma", "expected a sigma above 0 (at least 1e-12)")
     speeds = np.array([kind == "speed_m_s" for kind in kinds.values])[kinds.codes]
