@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geograph.scenarios.airborne import SCENARIOS, Airborne, Runs, beyond, simulate
+from geograph.scenarios.airborne import RATE_HZ, SCENARIOS, Airborne, Runs, beyond, simulate
 from geograph.scenarios.aoa_bound import horizontal_m, recursive_bound, sequence_bound_m
 from geograph.scenarios.aoa_estimators import Estimates, weighted_least_squares
 from geograph.scenarios.aoa_kalman import extended_kalman, unscented_kalman
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from geograph.scenarios.airborne_recordings import KnownGround
+    from geograph.scenarios.aoa_smoothed import Smoothed
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,9 @@ ESTIMATORS: dict[str, Callable[[Runs], Estimates]] = {
     "unscented": unscented_kalman,
 }
 """The comparison estimators, by the names of the published figures."""
+
+PREFIXES = 16
+"""About how many prefixes of a run are smoothed."""
 
 _BATCH = 250
 
@@ -186,49 +190,58 @@ def published_table(seeds: Sequence[int]) -> str:
     return "\n".join(lines)
 
 
-def smoothed_table(final: Sequence[int], sequences: Sequence[int], ground: KnownGround) -> str:
-    """Return the factor graph's errors beside the bound and the best printed, as Markdown."""
+def smoothed_tables(final: int, sequences: int, first: int, ground: KnownGround) -> str:
+    """Return the factor graph's errors, and its consistency over time at 10 degrees, as Markdown.
+
+    Parameters
+    ----------
+    final, sequences
+        Runs of which the whole is smoothed, and runs of which prefixes are.
+    first
+        Seed of the first run.
+    ground
+        How recordings know the ground.
+    """
     from geograph.scenarios.aoa_smoothed import log_steps, smooth_prefixes
 
     lines = _head(["scenario", "last step", "bound", "ratio", "sequence", "best printed", "bound"])
+    shown = log_steps(SCENARIOS["1-10deg"].steps, PREFIXES)[:-1:2]
+    consistency = _head(["scenario", *(f"{step / RATE_HZ:g} s" for step in shown)])
     for name, published in PUBLISHED.items():
         scenario = SCENARIOS[name]
-        last = smooth_prefixes(scenario, final, step=np.array([scenario.steps]), ground=ground)
-        several = smooth_prefixes(
-            scenario, sequences, step=log_steps(scenario.steps, 16), ground=ground
-        )
-        score = Score.of(several.over_sequence_m2(), last.squared_m2[:, 0])
+        step = log_steps(scenario.steps, PREFIXES)
+        some = range(first, first + min(sequences, final))
+        several = smooth_prefixes(scenario, some, step=step, ground=ground)
+        others = range(some.stop, first + final)
+        rest = smooth_prefixes(scenario, others, step=step[-1:], ground=ground)
+        last = np.concatenate([several.squared_m2[:, -1], rest.squared_m2[:, 0]])
+        score = Score.of(several.over_sequence_m2(), last)
         bound = float(horizontal_m(recursive_bound(scenario))[-1])
-        lines.append(
-            _row(
-                [
-                    name,
-                    f"{score.final_m:.1f}±{score.final_error_m:.1f}",
-                    f"{bound:.1f}",
-                    f"{score.final_m / bound:.3f}±{score.final_error_m / bound:.3f}",
-                    f"{score.sequence_m:.0f}±{score.sequence_error_m:.0f}",
-                    f"{published.best:.0f}",
-                    _number(sequence_bound_m(scenario)),
-                ]
-            )
-        )
+        cells = [
+            name,
+            f"{score.final_m:.1f}±{score.final_error_m:.1f}",
+            f"{bound:.1f}",
+            f"{score.final_m / bound:.3f}±{score.final_error_m / bound:.3f}",
+            f"{score.sequence_m:.0f}±{score.sequence_error_m:.0f}",
+            f"{published.best:.0f}",
+            _number(sequence_bound_m(scenario)),
+        ]
+        lines.append(_row(cells))
         print(lines[-1], file=sys.stderr, flush=True)
-    return "\n".join(lines)
+        if name.endswith("-10deg"):
+            consistency.append(_consistency(several, shown))
+            print(consistency[-1], file=sys.stderr, flush=True)
+    return "\n".join([*lines, "", *consistency])
 
 
-def consistency_table(seeds: Sequence[int], ground: KnownGround) -> str:
-    """Return NEES and coverage of the ellipse of 95 % over time at 10 degrees, as Markdown."""
-    from geograph.scenarios.aoa_smoothed import smooth_prefixes
-
-    steps = np.array([1, 2, 5, 10, 20, 50, 100, 250])
-    lines = _head(["scenario", *(f"{step / 10:g} s" for step in steps)])
-    for name in (name for name in SCENARIOS if name.endswith("-10deg")):
-        result = smooth_prefixes(SCENARIOS[name], seeds, step=steps, ground=ground)
-        nees, covered = result.nees, result.covered.mean(axis=0)
-        pairs = zip(np.median(nees, axis=0), nees.mean(axis=0), covered, strict=True)
-        lines.append(_row([name, *(f"{m:.1f}, {a:.1f}, {100 * c:.0f} %" for m, a, c in pairs)]))
-        print(lines[-1], file=sys.stderr, flush=True)
-    return "\n".join(lines)
+def _consistency(result: Smoothed, shown: NDArray[np.int64]) -> str:
+    """Return a row of mean NEES and coverage of the 95 % ellipse, at the steps nearest to some."""
+    cells = [result.scenario.name]
+    for step in shown:
+        column = int(np.argmin(np.abs(np.log(result.step / step))))
+        covered = 100.0 * result.covered[:, column].mean()
+        cells.append(f"{result.nees[:, column].mean():.1f}, {covered:.0f} %")
+    return _row(cells)
 
 
 def beyond_table(seeds: Sequence[int], ground: KnownGround) -> str:
@@ -259,10 +272,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Horizontal errors in metres, with standard errors over the runs. Rows go to "
         "the standard error stream as they are done.",
     )
-    tables = ("bounds", "published", "smoothed", "consistency", "beyond")
+    tables = ("bounds", "published", "smoothed", "beyond")
     parser.add_argument("--runs", type=int, default=1000, help="runs of the estimators (1000)")
-    parser.add_argument("--final", type=int, default=400, help="of the factor graph's last (400)")
-    parser.add_argument("--sequences", type=int, default=100, help="of its sequences (100)")
+    parser.add_argument(
+        "--final", type=int, default=256, help="of the factor graph's last step (256)"
+    )
+    parser.add_argument("--sequences", type=int, default=64, help="of its sequences (64)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first run (0)")
     parser.add_argument("--table", choices=(*tables, "all"), default="all", help="which table")
     parser.add_argument(
@@ -279,8 +294,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     made: dict[str, Callable[[], str]] = {
         "bounds": bounds_table,
         "published": lambda: published_table(seeds(options.runs)),
-        "smoothed": lambda: smoothed_table(seeds(options.final), seeds(options.sequences), ground),
-        "consistency": lambda: consistency_table(seeds(options.sequences), ground),
+        "smoothed": lambda: smoothed_tables(options.final, options.sequences, options.seed, ground),
         "beyond": lambda: beyond_table(seeds(options.sequences), ground),
     }
     for name in tables if options.table == "all" else (options.table,):

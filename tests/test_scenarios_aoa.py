@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from geograph.scenarios import aoa_study
 from geograph.scenarios.airborne import SCENARIOS, Airborne, Runs, beyond, simulate
+from geograph.scenarios.aoa_bound import horizontal_m, recursive_bound
 from geograph.scenarios.aoa_estimators import LARGEST_RANGE_M, gauss_newton_start, within_reach
 from geograph.scenarios.aoa_kalman import extended_kalman
 from geograph.scenarios.aoa_model import AngleModel
@@ -48,12 +50,13 @@ def test_derivatives_of_the_angles(scenario: Airborne) -> None:
 
 @pytest.mark.parametrize("name", ["1-5deg", "3-5deg", "4-5deg", "5-5deg"])
 def test_the_truth_comes_back_without_noise(name: str) -> None:
-    """To centimetres: the height untold by 100 m of base is last, and filters are not iterated."""
+    """To half of the bound: the filters linearise once, where the first steps put the emitter."""
     runs = without_noise(SCENARIOS[name])
     truth = np.array(SCENARIOS[name].target_m)
+    bound = horizontal_m(recursive_bound(SCENARIOS[name]))[-1]
     for estimator in ESTIMATORS.values():
         error = estimator(runs).position_m[0, -1] - truth
-        assert np.linalg.norm(error) < 5.0
+        assert np.linalg.norm(error[:2]) < 0.5 * bound
 
 
 def test_starts_are_within_reach() -> None:
@@ -70,27 +73,19 @@ def test_starts_are_within_reach() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "low", "high"),
-    [
-        ("2-5deg", 0.8, 1.25),
-        ("3-10deg", 0.8, 1.25),
-        ("1-5deg", 0.6, 1.1),
-        ("5-5deg", 0.6, 1.0),
-    ],
+    ("name", "low", "high"), [("1-5deg", 0.55, 1.2), ("3-10deg", 0.75, 1.3), ("5-5deg", 0.55, 1.0)]
 )
 def test_estimators_are_near_the_published(name: str, low: float, high: float) -> None:
-    """Of 1000 runs the ratios are 0.9 to 1.1 with terrain and parallel paths, 0.7 to 0.9 without,
-    0.7 to 0.9 crossed (docs/accuracy.md); 60 runs scatter by some 5 % more.
-    """
-    scores = study(SCENARIOS[name], range(60))
+    """Factors around those of 1000 runs (docs/accuracy.md), which 30 runs scatter about."""
+    scores = study(SCENARIOS[name], range(30))
     for estimator, score in scores.items():
         assert low < score.sequence_m / getattr(PUBLISHED[name], estimator) < high
 
 
 def test_a_filter_is_honest_where_geometry_is_good() -> None:
-    """Sum of e' P^-1 e of 200 runs at the last step; false alarm 1e-4, two-sided."""
+    """Sum of e' P^-1 e of 60 runs at the last step; false alarm 1e-4, two-sided."""
     scenario = SCENARIOS["5-5deg"]
-    estimates = extended_kalman(simulate(scenario, range(200)))
+    estimates = extended_kalman(simulate(scenario, range(60)))
     error = estimates.position_m[:, -1, :2] - np.array(scenario.target_m[:2])
     solved = np.linalg.solve(estimates.covariance_m2[:, -1], error[..., None])[..., 0]
     low, high = chi2.ppf([5e-5, 1.0 - 5e-5], error.size)
@@ -108,13 +103,12 @@ def test_weights_of_some_steps() -> None:
 
 
 def test_the_factor_graph_reaches_the_bound() -> None:
-    """Crossed paths, 60 runs: NEES in its chi-square band (false alarm 1e-4) from 5 s on."""
+    """Crossed paths, 40 runs: NEES at the last step in its chi-square band, false alarm 1e-4."""
     scenario = SCENARIOS["5-5deg"]
-    result = smooth_prefixes(scenario, range(60), step=np.array([50, 250]), ground="altitude")
+    result = smooth_prefixes(scenario, range(40), step=np.array([250]), ground="altitude")
     assert (result.status == "converged").all()
-    low, high = chi2.ppf([5e-5, 1.0 - 5e-5], 2 * 60)
-    for total in result.nees.sum(axis=0):
-        assert low < total < high
+    low, high = chi2.ppf([5e-5, 1.0 - 5e-5], 2 * 40)
+    assert low < result.nees.sum() < high
 
 
 def test_the_ellipse_fails_in_the_first_steps() -> None:
@@ -130,15 +124,19 @@ def test_the_ellipse_fails_in_the_first_steps() -> None:
     assert squares.mean() > 10.0 * np.median(squares)
 
 
-def test_tables_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_are_printed(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert main(["--table", "bounds"]) == 0
     out = capsys.readouterr().out
     assert "| 1-5deg | 155 | 155 | 2558 | 25.1 | 26.8 |" in out
-    assert (
-        main(["--table", "smoothed", "--final", "2", "--sequences", "2", "--ground", "altitude"])
-        == 0
-    )
-    assert len(capsys.readouterr().out.strip().splitlines()) == 12
+    monkeypatch.setattr(aoa_study, "PUBLISHED", {"5-10deg": PUBLISHED["5-10deg"]})
+    monkeypatch.setattr(aoa_study, "PREFIXES", 3)
+    assert main(["--table", "smoothed", "--final", "3", "--sequences", "2"]) == 0
+    table = capsys.readouterr().out.strip().splitlines()
+    assert table[2].startswith("| 5-10deg | ")
+    assert "| 84 | 72.0 |" in table[2]
+    assert table[-1].startswith("| 5-10deg | ")
 
 
 @pytest.mark.parametrize("bad", [["--runs", "1"], ["--seed", "-1"], ["--table", "all-of-them"]])
