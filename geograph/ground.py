@@ -25,6 +25,7 @@ _MOST_CHECKED = 400
 # Hardly any slope is steeper than 45 degrees for long, so that a ray so much above ground does not
 # meet it sooner than this.
 _STEEPEST = 1.0
+_DEEP_M, _HIGH_M = 2000.0, 9000.0
 _MOST_STEPS = 4000
 _HALVINGS = 30
 
@@ -89,7 +90,9 @@ def crossings(
         crossed = (side > 0.0) != (there > 0.0)
         if crossed.any():
             found.append((active[crossed], way[crossed], following[crossed]))
-        kept = following < reach[active]
+        # Deep under ground and high above it, and ever more so, no ray meets it again.
+        gone = ((there < -_DEEP_M) & (there < side)) | ((there > _HIGH_M) & (there > side))
+        kept = (following < reach[active]) & ~gone
         active, way, side = active[kept], following[kept], there[kept]
     if not found:
         return Crossings(np.empty(0, dtype=np.int64), np.empty((0, 3)))

@@ -114,8 +114,9 @@ def terrain_fits(finder: FirstGuess, terrain: Terrain, height_m: float) -> list[
     if not met.ray.size:
         raise InputError(
             f"none of {level.size} bearings looked at meets the terrain within "
-            f"{terrain.extent_text()}, to which the object is held {height_m:g} m above ground; check axes, signs of the "
-            "elevations, heights and the extent of the raster, or remove the constraint"
+            f"{terrain.extent_text()}, to which the object is held {height_m:g} m above ground; "
+            "check axes, signs of the elevations, heights and the extent of the raster, or remove "
+            "the constraint"
         )
     search = _Search(lines, terrain, height_m, count / pick.size)
     places, cost = search.minima(met.position_m)

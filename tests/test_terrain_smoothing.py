@@ -14,6 +14,7 @@ import geograph as gg
 from geograph.errors import InputError
 from geograph.ground import crossings
 from geograph.measurements import Bearings, Constraints, Truth
+from geograph.plot import likelihood
 from geograph.sensors import Sensor, Trajectory
 from geograph.vantage import GRAZING, STRAIGHT_BELOW, vantage
 
@@ -212,6 +213,10 @@ def test_a_wedge_is_flagged_and_its_contour_is_the_true_one():
     assert found.region(0.5).sum() < found.region(0.95).sum() < found.log_density.size
     assert found.area_m2(0.5) < found.area_m2(0.95)
     assert found.contains(track.position_m[0], 0.5)
+    figure = likelihood(track, found)
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert "95 % of the posterior" in labels
+    assert "height of the ground" in labels
     assert not found.contains(EMITTER + np.array([50e3, 0.0, 0.0]))
     with pytest.raises(InputError, match="expected between 0 and 1"):
         found.level(1.0)

@@ -271,11 +271,11 @@ def _summary_rows(found: PathBound) -> Rows:
 
 def _direction_rows(found: PathBound) -> Rows:
     """Return the eigenvectors of the position's information, best knot first."""
-    rows = [["time (s)", "direction", "sigma (m)"]]
+    rows = [["direction", "time (s)", "sigma (m)"]]
     for entry in found.directions:
         mark = " weak" if entry.weak else ""
         time = f"{round(entry.time_s, 3) + 0.0:.3f}"
-        rows.append([time, entry.name, _figure(entry.sigma_m) + mark])
+        rows.append([entry.name, time, _figure(entry.sigma_m) + mark])
     return rows if len(rows) > 1 else []
 
 
