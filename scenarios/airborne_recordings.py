@@ -16,17 +16,17 @@ import numpy as np
 from geograph.measurements import Bearings, Constraints, Truth
 from geograph.recording import Recording, SmoothSettings
 from geograph.scenarios.airborne import draw_noise, true_angles
-from geograph.scenarios.landscape import Raster
+from geograph.scenarios.elevation_model import Raster
 from geograph.sensors import Sensor, Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from geograph.terrain import Terrain
     from numpy.typing import NDArray
 
     from geograph.scenarios.airborne import Airborne
     from geograph.scenarios.landscape import Landscape
+    from geograph.terrain import Terrain
 
 RecordedAxes = Literal["body", "enu"]
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geograph.scenarios.landscape import GRID_M
+from geograph.scenarios.elevation_model import GRID_M
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -275,9 +275,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     tables = ("bounds", "published", "smoothed", "beyond")
     parser.add_argument("--runs", type=int, default=1000, help="runs of the estimators (1000)")
     parser.add_argument(
-        "--final", type=int, default=256, help="of the factor graph's last step (256)"
+        "--final", type=int, default=160, help="of the factor graph's last step (160)"
     )
-    parser.add_argument("--sequences", type=int, default=64, help="of its sequences (64)")
+    parser.add_argument("--sequences", type=int, default=40, help="of its sequences (40)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first run (0)")
     parser.add_argument("--table", choices=(*tables, "all"), default="all", help="which table")
     parser.add_argument(

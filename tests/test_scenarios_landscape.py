@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from geograph.scenarios.elevation_model import NODATA, Raster, write_geotiff
 from geograph.scenarios.landscape import (
     HILLS,
     MOUNTAINS,
-    NODATA,
     Landscape,
     Pin,
-    Raster,
     Relief,
     make_landscape,
-    write_geotiff,
 )
 
 if TYPE_CHECKING:
