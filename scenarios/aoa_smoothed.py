@@ -46,6 +46,8 @@ class Smoothed:
         Shape (runs, s, 3, 3).
     status
         Shape (runs, s): how each solve ended.
+    gaussian
+        Shape (runs, s): whether the result calls its posterior Gaussian.
     """
 
     scenario: Airborne
@@ -53,6 +55,7 @@ class Smoothed:
     error_m: NDArray[np.float64]
     covariance_m2: NDArray[np.float64]
     status: NDArray[np.str_]
+    gaussian: NDArray[np.bool_]
 
     @property
     def squared_m2(self) -> NDArray[np.float64]:
@@ -129,6 +132,7 @@ def smooth_prefixes(
     error = np.full((*shape, 3), np.nan)
     covariance = np.full((*shape, 3, 3), np.nan)
     status = np.full(shape, "", dtype="<U20")
+    gaussian = np.ones(shape, dtype=np.bool_)
     level = all(receiver.level for receiver in scenario.receivers)
     truth = np.array(scenario.target_m)
     for column, count in enumerate(step):
@@ -146,4 +150,5 @@ def smooth_prefixes(
             error[row, column] = point.state[0, :3] - truth
             covariance[row, column] = point.covariance[0, :3, :3]
             status[row, column] = str(track.status)
-    return Smoothed(scenario, step, error, covariance, status)
+            gaussian[row, column] = track.summary["gaussian"]["holds"]
+    return Smoothed(scenario, step, error, covariance, status, gaussian)
