@@ -282,8 +282,8 @@ def _unseen_misalignments(track: Track) -> list[str]:
             sigma = float(np.degrees(np.sqrt(value) * states.constants[own[0]].sigma))
             sentences.append(
                 f"the misalignment of {name} about {_named(axis, _BODY_AXES)} is not determined: "
-                f"its 1-sigma stays at {sigma:.3g} deg; a turning flight, or a known height of "
-                "the object, would tell"
+                f"its 1-sigma stays at {sigma:.3g} deg; more turns, or a surer height of the "
+                "object, would tell"
             )
     return sentences
 

@@ -1,5 +1,6 @@
 """Objects on the ground: first guesses, hypotheses, posteriors as maps, bounds, bad input."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import geograph as gg
+from geograph.cli import main
 from geograph.errors import InputError
 from geograph.ground import crossings
 from geograph.measurements import Bearings, Constraints, Truth
@@ -214,7 +216,7 @@ def test_a_wedge_is_flagged_and_its_contour_is_the_true_one():
     assert found.area_m2(0.5) < found.area_m2(0.95)
     assert found.contains(track.position_m[0], 0.5)
     figure = likelihood(track, found)
-    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert "95 % of the posterior" in labels
     assert "height of the ground" in labels
     assert not found.contains(EMITTER + np.array([50e3, 0.0, 0.0]))
@@ -573,3 +575,17 @@ def test_ecef_over_a_projected_raster(tmp_path):
     assert over.observable.all()
     written = gg.write(given_, tmp_path / "rec")
     assert written.terrain.heights == "ellipsoid"
+
+
+def test_the_command_prints_every_place_that_fits(tmp_path, capsys):
+    target = np.array([1350.0, 0.0, ridges(1350.0, 0.0) + 2.0])
+    gg.write(standing(*mast([0.0, 0.0, 60.0], target, 0.2), RIDGES), tmp_path / "mast")
+    command = ["smooth", str(tmp_path / "mast"), "-o", str(tmp_path / "out"), "--no-plots"]
+    assert main(command) == 3
+    out = capsys.readouterr().out
+    assert "6 places fit:" in out
+    assert out.count("weight 0.") >= 6
+    assert "not Gaussian: another path fits too" in out
+    facts = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert len(facts["hypotheses"]) == 6
+    assert facts["directions"][0]["sigma_m"] >= facts["directions"][-1]["sigma_m"]

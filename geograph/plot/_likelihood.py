@@ -63,7 +63,15 @@ def likelihood_figure(track: Track, over: LikelihoodMap | None = None) -> Figure
         ax.plot(*place, "*", color="black", markersize=9, label="truth")
     _label_plane(ax, over.center_m, over.frame, unit.name)
     ax.set_aspect("equal", adjustable="box")
-    ax.set_xlim(east[0], east[-1])
-    ax.set_ylim(north[0], north[-1])
-    ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.09), ncols=3, borderaxespad=0.0)
+    rows, columns = np.nonzero(over.region(0.95))
+    box = np.array(
+        [
+            [min(east[columns].min(), line[0].min()), max(east[columns].max(), line[0].max())],
+            [min(north[rows].min(), line[1].min()), max(north[rows].max(), line[1].max())],
+        ]
+    )
+    margin = 0.15 * float(np.ptp(box, axis=1).max())
+    ax.set_xlim(box[0, 0] - margin, box[0, 1] + margin)
+    ax.set_ylim(box[1, 0] - margin, box[1, 1] + margin)
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower left", ncols=3)
     return figure
