@@ -4,15 +4,17 @@ Each observable is one vectorised NumPy function with optional Jacobians in a mo
 batch engine, the Cramer-Rao bound, the residual report and the factors below all call it. Nothing
 here knows of files, recordings or solvers.
 
-``bearing`` (azimuth and elevation), ``light_time`` (emission and reception), ``refraction``,
-``kinematics`` (Gaussian-process priors, transitions, interpolation), ``gravity`` (free fall),
-``arrival`` (light time to moving sensors, Doppler), ``difference`` (of arrival time and received
-frequency), ``constraints`` (height, speed), ``adapter`` (GTSAM's callback), ``standalone``,
+``bearing`` (azimuth and elevation), ``attitude`` (body axes, misalignment), ``light_time``
+(emission and reception), ``refraction``, ``kinematics`` (Gaussian-process priors, transitions,
+interpolation), ``gravity`` (free fall), ``arrival`` (light time to moving sensors, Doppler),
+``difference`` (of arrival time and received frequency), ``constraints`` (height, speed),
+``terrain`` (height above ground), ``adapter`` (GTSAM's callback), ``standalone``,
 ``standalone_radio`` and ``standalone_priors`` (factors for anybody's graph), ``scene`` (receivers
 of radio signals), ``noise`` (of stacked measurements).
 """
 
 from geograph.factors.adapter import FactorError, vector_factor
+from geograph.factors.attitude import body_axes, ned_from_body
 from geograph.factors.scene import Receiver
 from geograph.factors.standalone import (
     ballistic_factor,
@@ -20,7 +22,12 @@ from geograph.factors.standalone import (
     kinematic_factor,
     random_walk_factor,
 )
-from geograph.factors.standalone_priors import altitude_factor, position_fix_factor, prior_factor
+from geograph.factors.standalone_priors import (
+    altitude_factor,
+    position_fix_factor,
+    prior_factor,
+    terrain_factor,
+)
 from geograph.factors.standalone_radio import (
     arrivals_factor,
     frequency_difference_factor,
@@ -36,12 +43,15 @@ __all__ = [
     "arrivals_factor",
     "ballistic_factor",
     "bearing_factor",
+    "body_axes",
     "frequency_difference_factor",
     "frequency_differences_factor",
     "kinematic_factor",
+    "ned_from_body",
     "position_fix_factor",
     "prior_factor",
     "random_walk_factor",
+    "terrain_factor",
     "time_difference_factor",
     "time_differences_factor",
     "vector_factor",

@@ -13,6 +13,7 @@ import numpy as np
 
 from geograph.errors import InputError
 from geograph.factors.adapter import vector_factor
+from geograph.factors.attitude import misaligned
 from geograph.factors.bearing import coordinate_residual, tangent_residual
 from geograph.factors.gravity import propagate
 from geograph.factors.kinematics import (
@@ -41,6 +42,7 @@ def bearing_factor(
     axes: ArrayLike | None = None,
     order: Order = 1,
     error_key: int | None = None,
+    misalignment_key: int | None = None,
     next_key: int | None = None,
     step_s: float = 0.0,
     offset_s: float = 0.0,
@@ -59,11 +61,14 @@ def bearing_factor(
         Shape (3,): the sensor's position, metres.
     axes
         Shape (3, 3): rows are the directions of azimuth zero, azimuth 90 degrees and elevation 90
-        degrees (default: x, y, z; for ``enu`` in ECEF rows north, east, up).
+        degrees (default: x, y, z; for ``enu`` in ECEF rows north, east, up; for ``body`` those of
+        :func:`geograph.factors.attitude.body_axes`).
     order
         Blocks of the object's state.
     error_key
         Key of the sensor's (azimuth, elevation) errors, if they are states.
+    misalignment_key
+        Key (3,) of the misalignment of its axes about body x, y, z, radians, if it is a state.
     next_key, step_s, offset_s
         State at the following knot, time between the knots, and time of the measurement after the
         first: the position is then interpolated by the Gaussian-process prior.
@@ -73,17 +78,10 @@ def bearing_factor(
     InputError
         If a number is not finite, a sigma not positive, or a shape wrong.
     """
-    position = vector3(sensor_m, "sensor_m")
-    rotation = np.eye(3) if axes is None else np.asarray(axes, dtype=np.float64)
-    if rotation.shape != (3, 3):
-        raise InputError(f"axes have shape {rotation.shape}; expected (3, 3)")
-    sigmas = np.array(sigma_rad if isinstance(sigma_rad, tuple) else (sigma_rad, sigma_rad))
-    if not (np.isfinite(sigmas).all() and (sigmas > 0.0).all()):
-        raise InputError(f"sigma_rad is {sigma_rad}; expected finite numbers above 0")
+    position, rotation, sigmas, measured = _bearing_numbers(
+        azimuth_rad, elevation_rad, sigma_rad, sensor_m, axes
+    )
     rows = 1 if elevation_rad is None else 2
-    measured = np.array([azimuth_rad, np.nan if elevation_rad is None else elevation_rad])
-    if not np.isfinite(measured[:rows]).all():
-        raise InputError(f"bearing is {measured[:rows]}; expected finite radians")
     on_sky = rows == 2 and not isinstance(sigma_rad, tuple)
     weights = np.array([1.0, *np.zeros(2 * order - 1)])
     keys, sizes = [key], [3 * order]
@@ -96,15 +94,22 @@ def bearing_factor(
     if error_key is not None:
         keys.append(error_key)
         sizes.append(2)
-    states = len(keys) - (error_key is not None)
+    states = len(sizes) - (error_key is not None)
+    if misalignment_key is not None:
+        keys.append(misalignment_key)
+        sizes.append(3)
 
     def function(
         vectors: list[NDArray[np.float64]], jacobian: bool
     ) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
         blocks = np.concatenate(vectors[:states]).reshape(-1, 3)
         target = weights[: blocks.shape[0]] @ blocks
-        error = vectors[-1] if error_key is not None else np.zeros(2)
+        error = vectors[states] if error_key is not None else np.zeros(2)
         line = (rotation @ (target - position))[None]
+        by_line = rotation
+        if misalignment_key is not None:
+            turned = misaligned(line, vectors[-1][None], jacobian=jacobian)
+            line, by_line = turned.line_of_sight_m, turned.by_line_of_sight[0] @ rotation
         angles = (measured - error)[:, None]
         if on_sky:
             found = tangent_residual(
@@ -117,16 +122,42 @@ def bearing_factor(
             return value, []
         assert found.by_line_of_sight is not None
         assert found.by_error is not None
-        by_position = (found.by_line_of_sight[0] @ rotation / sigmas[:, None])[:rows]
+        by_sight = (found.by_line_of_sight[0] / sigmas[:, None])[:rows]
+        by_position = by_sight @ by_line
         matrices = [
             np.kron(weights[index * order : (index + 1) * order], by_position)
             for index in range(states)
         ]
         if error_key is not None:
             matrices.append((found.by_error[0] / sigmas[:, None])[:rows])
+        if misalignment_key is not None:
+            assert turned.by_misalignment is not None
+            matrices.append(by_sight @ turned.by_misalignment[0])
         return value, matrices
 
     return vector_factor(keys, sizes, rows, function)
+
+
+def _bearing_numbers(
+    azimuth_rad: float,
+    elevation_rad: float | None,
+    sigma_rad: float | tuple[float, float],
+    sensor_m: ArrayLike,
+    axes: ArrayLike | None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return position, axes, sigmas and bearing (NaN: no elevation) as arrays, checked."""
+    position = vector3(sensor_m, "sensor_m")
+    rotation = np.eye(3) if axes is None else np.asarray(axes, dtype=np.float64)
+    if rotation.shape != (3, 3):
+        raise InputError(f"axes have shape {rotation.shape}; expected (3, 3)")
+    sigmas = np.array(sigma_rad if isinstance(sigma_rad, tuple) else (sigma_rad, sigma_rad))
+    if not (np.isfinite(sigmas).all() and (sigmas > 0.0).all()):
+        raise InputError(f"sigma_rad is {sigma_rad}; expected finite numbers above 0")
+    measured = np.array([azimuth_rad, np.nan if elevation_rad is None else elevation_rad])
+    given = measured[: 1 if elevation_rad is None else 2]
+    if not np.isfinite(given).all():
+        raise InputError(f"bearing is {given}; expected finite radians")
+    return position, rotation, sigmas, measured
 
 
 def kinematic_factor(

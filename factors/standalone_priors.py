@@ -12,6 +12,7 @@ from geograph.factors.adapter import vector_factor
 from geograph.factors.constraints import altitude
 from geograph.factors.kinematics import interpolation_weights
 from geograph.factors.noise import vector3
+from geograph.factors.terrain import height_above_terrain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from geograph.factors.scene import Order
+    from geograph.factors.terrain import Surface
 
 
 def altitude_factor(
@@ -61,6 +63,55 @@ def altitude_factor(
             return value, []
         matrix = np.zeros((1, 3 * order))
         matrix[0, :3] = up[0] / sigma_m
+        return value, [matrix]
+
+    return vector_factor([key], [3 * order], 1, function)
+
+
+def terrain_factor(
+    key: int,
+    height_m: float,
+    sigma_m: float,
+    *,
+    surface: Surface,
+    order: Order = 1,
+    frame: Literal["ecef", "local"] = "ecef",
+) -> gtsam.CustomFactor:
+    """Return the factor of a known height above the ground.
+
+    Parameters
+    ----------
+    key
+        The object's state.
+    height_m, sigma_m
+        Height above the ground and its standard deviation, metres.
+    surface
+        The ground: a :class:`geograph.Terrain`, or anything with its ``elevation``.
+    order
+        Blocks of the state.
+    frame
+        ``"ecef"`` or ``"local"``.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite or the sigma not positive.
+    """
+    if not (np.isfinite(height_m) and np.isfinite(sigma_m) and sigma_m > 0.0):
+        raise InputError(
+            f"height above terrain is {height_m} +- {sigma_m} m; expected finite numbers, sigma "
+            "above 0"
+        )
+
+    def function(
+        vectors: list[NDArray[np.float64]], jacobian: bool
+    ) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
+        above, slope = height_above_terrain(vectors[0][None, :3], frame, surface, jacobian=jacobian)
+        value = (above - height_m) / sigma_m
+        if slope is None:
+            return value, []
+        matrix = np.zeros((1, 3 * order))
+        matrix[0, :3] = slope[0] / sigma_m
         return value, [matrix]
 
     return vector_factor([key], [3 * order], 1, function)

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     )
     from geograph.incremental.smoother import IncrementalSmoother
     from geograph.io import read, write
+    from geograph.likelihood import LikelihoodMap
     from geograph.measurements import (
         Arrivals,
         Bearings,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from geograph.signal import Signal
     from geograph.smoother import smooth
     from geograph.solver import Status
+    from geograph.terrain import Terrain
     from geograph.track import SensorEstimate, Track, TrackPoints
 
 __version__ = "0.1.0"
@@ -64,6 +66,7 @@ __all__ = [
     "GtsamGraph",
     "IncrementalSmoother",
     "InputError",
+    "LikelihoodMap",
     "PathBound",
     "Recording",
     "RowName",
@@ -75,6 +78,7 @@ __all__ = [
     "SolveError",
     "Static",
     "Status",
+    "Terrain",
     "TimeDifferences",
     "Track",
     "TrackPoints",
@@ -109,6 +113,7 @@ _HOMES = {
     "GtsamGraph": "geograph.graph",
     "IncrementalSmoother": "geograph.incremental.smoother",
     "InputError": "geograph.errors",
+    "LikelihoodMap": "geograph.likelihood",
     "PathBound": "geograph.bounds",
     "Recording": "geograph.recording",
     "RowName": "geograph.incremental.estimate",
@@ -120,6 +125,7 @@ _HOMES = {
     "SolveError": "geograph.errors",
     "Static": "geograph.incremental.motion",
     "Status": "geograph.solver",
+    "Terrain": "geograph.terrain",
     "TimeDifferences": "geograph.measurements",
     "Track": "geograph.track",
     "TrackPoints": "geograph.track",

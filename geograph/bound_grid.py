@@ -13,10 +13,13 @@ from geograph.eliminate import NotPositiveDefiniteError
 from geograph.ellipsoids import ellipsoids
 from geograph.errors import InputError
 from geograph.geodesy import ecef_from_geodetic, enu_axes, geodetic_from_ecef
+from geograph.ground import on_ground
 from geograph.observability import UNOBSERVABLE_SHARE
 from geograph.planned import distances, moved, planned, point_path
 from geograph.signal import Signal, with_signal
+from geograph.terrain_starts import ground_height
 from geograph.threads import single_blas_thread
+from geograph.vantage import GRAZING, STRAIGHT_BELOW, vantage
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,7 +39,8 @@ AT_A_SENSOR = "a sensor stands there"
 TOO_WIDE = (
     f"the least error exceeds {100 * UNOBSERVABLE_SHARE:.0f} % of the distance from the sensors"
 )
-REASONS = (SINGULAR, AT_A_SENSOR, TOO_WIDE)
+NO_GROUND = "the terrain has no height there"
+REASONS = (SINGULAR, AT_A_SENSOR, TOO_WIDE, NO_GROUND, STRAIGHT_BELOW, GRAZING)
 """Why cells of a map are not observable."""
 
 _MOST_CELLS = 1000
@@ -60,7 +64,8 @@ class BoundMap:
         Shape (c,): the columns and rows of the grid, counted from the middle over the tangent
         plane there; x and y themselves in a local frame.
     position_m
-        Shape (c, c, 3): of the cells, rows going north, in the frame; all of one height.
+        Shape (c, c, 3): of the cells, rows going north, in the frame; all of one height, or as far
+        above the terrain as the recording's constraint says.
     covariance_m2
         Shape (c, c, 2, 2): the bound of east and north (x and y); NaN where there is none.
     reason
@@ -156,8 +161,9 @@ def bound_map(
     settings
         The recording's own by default; the motion is ``static`` whatever they say.
     center_m
-        Shape (3,), in the frame: the middle of the grid, whose height all cells have; or shape
-        (n, 3), a path whose middle it is. None: the true path, or the estimate.
+        Shape (3,), in the frame: the middle of the grid, whose height all cells have unless the
+        emitter is held to the terrain; or shape (n, 3), a path whose middle it is. None: the true
+        path, or the estimate.
     extent_m
         Side of the grid. None: that which holds the sensors, and the path, around the middle.
     cells
@@ -190,7 +196,13 @@ def bound_map(
         line = (np.arange(cells) - 0.5 * (cells - 1)) * extent / cells
         position = _grid(middle, line, given.frame)
         fixed = chosen.replace(motion="static", process_noise="auto", process_noise_along=None)
-        covariance, reason = _bounds(given, fixed, position, on_row, extent)
+        terrain, above = given.terrain, ground_height(given.constraints)
+        known = np.ones(position.shape[:2], dtype=np.bool_)
+        if terrain is not None and above is not None:
+            known = terrain.known(position.reshape(-1, 3)).reshape(known.shape)
+            ground = on_ground(position.reshape(-1, 3), terrain, above)
+            position = ground.reshape(position.shape)
+        covariance, reason = _bounds(given, fixed, position, on_row, extent_m=extent, known=known)
     return BoundMap(
         given.frame, middle, line + offset[0], line + offset[1], position, covariance, reason, given
     )
@@ -236,7 +248,9 @@ def _bounds(
     settings: SmoothSettings,
     position_m: NDArray[np.float64],
     on_row: Callable[[], object] | None,
+    *,
     extent_m: float,
+    known: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.str_]]:
     """Return covariances of east and north, shape (c, c, 2, 2), and why cells have none."""
     shape = position_m.shape[:2]
@@ -246,6 +260,9 @@ def _bounds(
     for row in range(shape[0]):
         for column in range(shape[1]):
             place = position_m[row, column]
+            if not known[row, column]:
+                reason[row, column] = NO_GROUND
+                continue
             away = distances(recording, partial(_stay, place))
             if away.min() >= _AT_SENSOR_SHARE * extent_m:
                 if smoother is None:
@@ -269,7 +286,7 @@ def _cell(
     try:
         marginals = posterior(problem, values)
     except NotPositiveDefiniteError:
-        return nothing, SINGULAR
+        return nothing, _case(problem, values) or SINGULAR
     scale = problem.path_scale[:3]
     level = np.asarray(marginals.knots[0, :3, :3] * scale[:, None] * scale)
     if problem.motion.frame == "ecef":
@@ -277,6 +294,14 @@ def _cell(
         level = axes @ level @ axes.T
     plane = level[:2, :2]
     if not np.isfinite(plane).all():
-        return nothing, SINGULAR
+        return nothing, _case(problem, values) or SINGULAR
     longest = float(np.sqrt(np.linalg.eigvalsh(plane)[-1]))
-    return plane, TOO_WIDE if longest > UNOBSERVABLE_SHARE * distance_m else ""
+    if longest <= UNOBSERVABLE_SHARE * distance_m:
+        return plane, ""
+    return plane, _case(problem, values) or TOO_WIDE
+
+
+def _case(problem: Problem, values: Values) -> str:
+    """Return which of the named singular cases a place is, or nothing."""
+    seen = vantage(problem, values)
+    return "" if seen is None else seen.reason

@@ -12,7 +12,7 @@ estimated first, and the bound is that of the estimate.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
     from geograph.eliminate import Marginals
     from geograph.families import Values
+    from geograph.observability import Direction
     from geograph.problem import Problem
     from geograph.recording import Recording, SmoothSettings
 
@@ -146,6 +147,9 @@ class PathBound(TrackPoints):
         By sensor and state: ``bound.sensor_bounds["S3"]["clock_offset"]``.
     weakly_observed
         A sentence for each direction that the geometry hardly determines, or leaves open.
+    directions
+        Eigenvectors of the information of the position with their sigmas, at the best knot and the
+        worst, each the weakest first.
     observable
         Whether the path as a whole is determined.
     left_out
@@ -160,6 +164,7 @@ class PathBound(TrackPoints):
     weakly_observed: list[str]
     observable: bool
     left_out: int
+    directions: list[Direction] = field(default_factory=list)
 
     @property
     def sigma_axes_m(self) -> NDArray[np.float64]:
@@ -279,6 +284,7 @@ def _path_bound(smoother: Smoother, at: Literal["truth", "estimate"]) -> PathBou
         weakly_observed=weak.sentences,
         observable=not weak.unobservable,
         left_out=int(np.sum(smoother.rejected)),
+        directions=weak.directions,
     )
 
 

@@ -66,6 +66,12 @@ _ERRORS = (
         ("bearings",),
     ),
     _Error(
+        "misalignment",
+        ("misalignment_rad",),
+        ("misalignment_x", "misalignment_y", "misalignment_z"),
+        ("bearings",),
+    ),
+    _Error(
         "frequency offset",
         ("frequency_offset_hz",),
         ("frequency_offset",),
@@ -234,14 +240,17 @@ def _explain(
     sensor = smoother.prepared.sensors[index]
     names = {family.name for family in smoother.families if _has(family, index)}
     fixes = sensor.platform_process_noise is not None and error.label == "position error"
+    fixes |= sensor.axes != "body" and error.label == "misalignment"
     if fixes or not names & set(error.tables):
         return None
     reopened = _reopened(smoother, rejected, index, error)
     if reopened is None:
         return None
     problem, solution = reopened
-    square = smoother.squares(problem, solution.values)[_of_sensor(smoother, index)]
-    if float(np.sqrt(np.median(square) / chi2.median(1))) > _EXPLAINED:
+    own = _of_sensor(smoother, index)
+    # A bearing's square has two degrees of freedom.
+    share = smoother.squares(problem, solution.values)[own] / chi2.median(smoother.rows[own])
+    if float(np.sqrt(np.median(share))) > _EXPLAINED:
         return None
     assert solution.elimination is not None
     spread = np.sqrt(np.diagonal(solution.elimination.marginals().constants))
@@ -249,7 +258,7 @@ def _explain(
     for column, state in enumerate(problem.states.constants):
         if state.sensor == index and state.name in error.states:
             value = solution.values.constants[column] * state.sigma
-            axis = state.name.rpartition("_")[2] if "position" in state.name else state.name
+            axis = state.name.rpartition("_")[2] if len(error.states) > 2 else state.name
             prefix = f"{axis.split('_')[0]} " if len(error.states) > 1 else ""
             parts.append(f"{prefix}{value:.6g} +- {spread[column] * state.sigma:.2g} {state.unit}")
     text = f"a {error.label} of {', '.join(parts)}"

@@ -14,6 +14,7 @@ import numpy as np
 from geograph.constants import EARTH_ROTATION_RAD_S
 from geograph.errors import InputError
 from geograph.factors.arrival import SensorMotion
+from geograph.factors.attitude import body_axes, body_axes_rate, ned_from_body
 from geograph.geodesy import enu_axes, enu_axes_rate
 from geograph.platforms import best_line
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from geograph.attitude import AttitudeSpline
     from geograph.platforms import StraightLine
     from geograph.recording import Frame
     from geograph.sensors import Sensor, Trajectory
@@ -80,16 +82,20 @@ class SensorGeometry:
         self._moving = np.zeros(count, dtype=bool)
         # A platform whose path is estimated is counted from the line that its fixes fit best.
         self._movers: dict[int, Trajectory | StraightLine] = {}
+        self._attitudes: dict[int, AttitudeSpline] = {}
         for index, sensor in enumerate(sensors):
-            if sensor.axes not in ("enu", "xyz"):
+            if sensor.axes == "radec":
                 raise InputError(
                     f"sensor {sensor.name!r} measures in {sensor.axes!r} axes, which this version "
-                    "does not support; expected enu or xyz"
+                    "does not support; expected enu, xyz or body"
                 )
             self._axes[index] = np.eye(3)
             if sensor.trajectory is not None:
                 self._moving[index] = True
                 fixes = sensor.trajectory
+                if sensor.axes == "body":
+                    assert fixes.attitude is not None
+                    self._attitudes[index] = fixes.attitude
                 self._movers[index] = (
                     fixes
                     if sensor.platform_process_noise is None
@@ -98,8 +104,12 @@ class SensorGeometry:
                 continue
             assert sensor.position_m is not None
             self._position[index] = sensor.position_m
-            if sensor.axes == "enu":
+            if sensor.axes != "xyz":
                 self._axes[index] = self._enu(sensor.position_m)
+            if sensor.axes == "body":
+                assert sensor.attitude_rad is not None
+                rotation = ned_from_body(sensor.attitude_rad)
+                self._axes[index] = body_axes(rotation, self._axes[index])
 
     def _enu(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
         if self.frame == "local":
@@ -119,12 +129,20 @@ class SensorGeometry:
             mover, sensor_axes = self._movers[int(index)], self.sensors[int(index)].axes
             position[rows] = mover.position_at(time_s[rows])
             velocity[rows] = mover.velocity_at(time_s[rows])
-            if sensor_axes == "enu":
-                axes[rows] = self._enu(position[rows])
-                if self.frame == "ecef":
-                    rate = np.zeros_like(axes) if rate is None else rate
-                    turning = enu_axes_rate(position[rows], velocity[rows])
-                    rate[rows] = turning[:, _NORTH_EAST_UP]
+            if sensor_axes == "xyz":
+                continue
+            axes[rows] = self._enu(position[rows])
+            turning = None
+            if self.frame == "ecef":
+                turning = enu_axes_rate(position[rows], velocity[rows])[:, _NORTH_EAST_UP]
+            attitude = self._attitudes.get(int(index))
+            if attitude is not None:
+                rotation, spin = attitude.at(time_s[rows])
+                turning = body_axes_rate(rotation, spin, axes[rows], turning)
+                axes[rows] = body_axes(rotation, axes[rows])
+            if turning is not None:
+                rate = np.zeros_like(axes) if rate is None else rate
+                rate[rows] = turning
         return SensorPoses(position, velocity, axes, rate)
 
     def motion(self, sensor: NDArray[np.int64], time_s: NDArray[np.float64]) -> SensorMotion:

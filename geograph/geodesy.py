@@ -86,12 +86,29 @@ def enu_axes(position_ecef_m: ArrayLike) -> NDArray[np.float64]:
     return np.stack([east, north, up], axis=-2)
 
 
+def metres_per_radian(
+    latitude_rad: NDArray[np.float64], height_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return metres to the east and to the north for a radian of longitude and of latitude.
+
+    (N + h) cos(latitude) and M + h, with the ellipsoid's radii of curvature N (prime vertical) and
+    M (meridian).
+
+    Parameters
+    ----------
+    latitude_rad, height_m
+        Any one shape.
+    """
+    root = np.sqrt(1.0 - _ECCENTRICITY_SQUARED * np.sin(latitude_rad) ** 2)
+    normal = EARTH_RADIUS_M / root
+    meridian = normal * (1.0 - _ECCENTRICITY_SQUARED) / root**2
+    return (normal + height_m) * np.cos(latitude_rad), meridian + height_m
+
+
 def enu_axes_rate(position_ecef_m: ArrayLike, velocity_ecef_m_s: ArrayLike) -> NDArray[np.float64]:
     """Return the time derivative of :func:`enu_axes` along a motion, shape (..., 3, 3), 1/s.
 
-    The axes turn with the rates of latitude v_north / (M + h) and longitude
-    v_east / ((N + h) cos(latitude)), with the ellipsoid's radii of curvature M (meridian) and N
-    (prime vertical).
+    The axes turn with the rates of latitude and longitude; see :func:`metres_per_radian`.
 
     Parameters
     ----------
@@ -104,12 +121,9 @@ def enu_axes_rate(position_ecef_m: ArrayLike, velocity_ecef_m_s: ArrayLike) -> N
     geodetic = geodetic_from_ecef(position)
     sin_lat = axes[..., 2, 2]
     cos_lat = np.hypot(axes[..., 2, 0], axes[..., 2, 1])
-    root = np.sqrt(1.0 - _ECCENTRICITY_SQUARED * sin_lat**2)
-    normal = EARTH_RADIUS_M / root
-    meridian = normal * (1.0 - _ECCENTRICITY_SQUARED) / root**2
+    east_m, north_m = metres_per_radian(np.radians(geodetic[..., 0]), geodetic[..., 2])
     east_rate, north_rate, _ = np.moveaxis(np.einsum("...ij,...j->...i", axes, velocity), -1, 0)
-    latitude_rate = north_rate / (meridian + geodetic[..., 2])
-    longitude_rate = east_rate / ((normal + geodetic[..., 2]) * cos_lat)
+    latitude_rate, longitude_rate = north_rate / north_m, east_rate / east_m
     east, north, up = axes[..., 0, :], axes[..., 1, :], axes[..., 2, :]
     spin = longitude_rate[..., None]
     tilt = latitude_rate[..., None]

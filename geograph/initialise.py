@@ -91,7 +91,9 @@ class PathFit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Heights:
+class Heights:
+    """Known heights of the path at times, each shape (n,)."""
+
     time_s: NDArray[np.float64]
     value: NDArray[np.float64]
     sigma: NDArray[np.float64]
@@ -123,14 +125,14 @@ class FirstGuess:
     geometry: SensorGeometry
     speed_m_s: float
     static: bool
-    _heights: _Heights | None = field(init=False)
+    heights: Heights | None = field(init=False)
 
     def __post_init__(self) -> None:
         self._pull = _WEAK_PULL
-        self._heights = self._known_heights()
+        self.heights = self._known_heights()
         self._nominal = self._nominal_range()
 
-    def _known_heights(self) -> _Heights | None:
+    def _known_heights(self) -> Heights | None:
         table = self.constraints
         if table is None:
             return None
@@ -141,7 +143,7 @@ class FirstGuess:
         whole = np.isnan(time)
         span = np.linspace(self.bearings.time_s.min(), self.bearings.time_s.max(), 20)
         count = int(whole.sum())
-        return _Heights(
+        return Heights(
             np.concatenate([time[~whole], np.tile(span, count)]),
             np.concatenate([value[~whole], np.repeat(value[whole], span.size)]),
             np.concatenate([sigma[~whole], np.repeat(sigma[whole], span.size)]),
@@ -178,7 +180,10 @@ class FirstGuess:
         )
         in_frame = own @ poses.axes
         bias = np.array(
-            [np.hypot(s.errors.azimuth_bias_rad, s.errors.elevation_bias_rad) for s in self.sensors]
+            [
+                np.linalg.norm([e.azimuth_bias_rad, e.elevation_bias_rad, e.misalignment_rad])
+                for e in (sensor.errors for sensor in self.sensors)
+            ]
         )[sensor]
         sigma_azimuth = table.sigma_azimuth_rad[rows] * np.where(
             table.isotropic[rows] | azimuth_only, 1.0, np.maximum(cos_e, 1e-3)
@@ -286,7 +291,7 @@ class FirstGuess:
             coefficients = weighted_lines(
                 basis, lines, white * np.sqrt(weight)[:, None], anchor, self._outward(basis, lines)
             )
-            if self._heights is not None:
+            if self.heights is not None:
                 coefficients = self._with_heights(
                     BSpline(knots, coefficients, degree), basis, lines, white=white, anchor=anchor
                 )
@@ -328,7 +333,7 @@ class FirstGuess:
         anchor: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Solve again with heights linearised about the path so far."""
-        heights = self._heights
+        heights = self.heights
         assert heights is not None
         inside = np.clip(heights.time_s, spline.t[0], spline.t[-1])
         at = BSpline.design_matrix(inside, spline.t, spline.k).toarray()

@@ -16,7 +16,7 @@ from geograph.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-ConstraintKind = Literal["altitude_m", "speed_m_s"]
+ConstraintKind = Literal["altitude_m", "height_above_terrain_m", "speed_m_s"]
 """Kinds of ``constraints.csv`` that this version understands."""
 
 
@@ -213,7 +213,8 @@ class Constraints:
     time_s
         Shape (n,); NaN: along the whole path.
     kind
-        Shape (n,): ``"altitude_m"`` (height above the ellipsoid, z in a local frame) or
+        Shape (n,): ``"altitude_m"`` (height above the ellipsoid, z in a local frame),
+        ``"height_above_terrain_m"`` (above the ground of the recording's terrain) or
         ``"speed_m_s"``.
     value, sigma
         Shape (n,): in the unit of the kind.

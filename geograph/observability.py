@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geograph.eliminate import response
 from geograph.geodesy import enu_axes
+from geograph.states import MISALIGNMENT
+from geograph.vantage import vantage
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,6 +22,10 @@ if TYPE_CHECKING:
 WEAK_SHARE = 0.05
 UNOBSERVABLE_SHARE = 0.3
 _TRADE_OFF = 0.5
+
+# A misalignment is not determined where its sigma stays above this share of the prior's.
+_AS_BEFORE = 0.8
+_BODY_AXES = ("body x (roll)", "body y (pitch)", "body z (yaw)")
 
 # Rise of the cost at one sigma along the weakest direction. A Gaussian posterior has one half; at
 # the first value the bend of a curved one adds half as much again, at the second it exceeds the
@@ -39,10 +45,46 @@ class WeakDirections:
         One for each weak direction.
     unobservable
         Whether the path as a whole is not determined.
+    directions
+        The directions in which the position is known best and worst, at the best knot and the
+        worst.
+    curvature
+        Rise of the cost at one sigma along the weakest direction, if it was probed; one half if the
+        posterior is Gaussian.
+    curved
+        Why the posterior is not Gaussian; empty where nothing says so.
     """
 
     sentences: list[str]
     unobservable: bool
+    directions: list[Direction] = field(default_factory=list)
+    curvature: float | None = None
+    curved: str = ""
+
+
+@dataclass(frozen=True)
+class Direction:
+    """An eigenvector of a position's covariance, which is one of its information.
+
+    Attributes
+    ----------
+    time_s
+        When the position is meant.
+    vector
+        Unit vector in the frame.
+    name
+        Its largest components in words.
+    sigma_m
+        Standard deviation along it.
+    weak
+        Whether that is large against the distance from the sensors.
+    """
+
+    time_s: float
+    vector: tuple[float, float, float]
+    name: str
+    sigma_m: float
+    weak: bool
 
 
 def weak_directions(
@@ -61,30 +103,65 @@ def weak_directions(
         minimum the cost rises on one side for other reasons.
     """
     covariance = track.position_covariance_m2
+    seen = vantage(track.problem, track.values)
+    cause = [seen.sentence] if seen is not None and seen.sentence else []
     if not np.isfinite(covariance).all():
-        return WeakDirections([_singular(track)], True)
+        return WeakDirections([_singular(track), *cause], True)
     distance = float(np.median(distance_m))
     sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance)[:, -1], 0.0))
     best, worst = int(np.argmin(sigma)), int(np.argmax(sigma))
     unobservable = bool(sigma[best] > UNOBSERVABLE_SHARE * distance)
     sentences = []
-    if unobservable or sigma[best] > WEAK_SHARE * distance:
-        sentences.append(_sentence(track, best, "everywhere on the path, at best"))
-    elif sigma[worst] > WEAK_SHARE * distance:
-        weak = sigma > WEAK_SHARE * distance
-        share = f"for {100.0 * weak.mean():.0f} % of the path, at worst"
-        sentences.append(_sentence(track, worst, share))
+    limit = WEAK_SHARE * distance
+    if unobservable or sigma[best] > limit:
+        sentences += _sentences(track, best, "everywhere on the path, at best", limit)
+    elif sigma[worst] > limit:
+        share = f"for {100.0 * (sigma > limit).mean():.0f} % of the path, at worst"
+        sentences += _sentences(track, worst, share, limit)
+    if sentences:
+        sentences += cause
+    directions = [
+        direction
+        for knot in dict.fromkeys((best, worst))
+        for direction in principal_directions(track, knot, limit)
+    ]
+    sentences += _unseen_misalignments(track)
     bent = _bent_knot(track, distance) if curvature else None
+    rise, curved = None, ""
     if not unobservable and bent is not None:
         rise = cost_rise(track, bent)
         if rise > CURVED_RISE:
-            text = _sentence(track, bent, "there")
-            sentences.append(
-                f"{text}; the posterior is curved: at one sigma the cost rises by {rise:.3g} "
+            curved = (
+                f"the posterior is curved: at one sigma the cost rises by {rise:.3g} "
                 "instead of 0.5, so that the ellipsoids are too small"
             )
+            sentences.append(f"{_sentence(track, bent, -1, 'there')}; {curved}")
             unobservable = rise > NOT_GAUSSIAN_RISE
-    return WeakDirections(sentences, unobservable)
+    elif unobservable:
+        curved = "the position is not determined: where it ends is not a matter of linearisation"
+    return WeakDirections(sentences, unobservable, directions, rise, curved)
+
+
+def principal_directions(track: Track, knot: int, limit_m: float) -> list[Direction]:
+    """Return the eigenvectors of a knot's position covariance, the weakest first.
+
+    Parameters
+    ----------
+    track
+        With covariances.
+    knot
+        Index of the knot.
+    limit_m
+        Sigma above which a direction is weak.
+    """
+    values, vectors = np.linalg.eigh(track.position_covariance_m2[knot])
+    found = []
+    for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
+        sigma = float(np.sqrt(max(value, 0.0)))
+        x, y, z = vector.tolist()
+        name = _direction(track, knot, vector)
+        found.append(Direction(float(track.time_s[knot]), (x, y, z), name, sigma, sigma > limit_m))
+    return found
 
 
 def _bent_knot(track: Track, distance_m: float) -> int | None:
@@ -97,6 +174,9 @@ def _bent_knot(track: Track, distance_m: float) -> int | None:
     bend = values[:, -1] / (2.0 * distance_m)
     share = bend / np.sqrt(np.maximum(values[:, 0], 1e-300))
     middle = int(np.argsort(share)[share.size // 2])
+    if track.recording.terrain is not None:
+        # Ground bends more than lines of sight do.
+        return middle
     return middle if share[middle] > _BEND_SHARE else None
 
 
@@ -145,10 +225,17 @@ def _singular(track: Track) -> str:
     return "the information of the measurements is singular: some unknowns are not seen at all"
 
 
-def _sentence(track: Track, knot: int, where: str) -> str:
+def _sentences(track: Track, knot: int, where: str, limit_m: float) -> list[str]:
+    """Return a sentence for each weak direction at a knot, the weakest first."""
+    values = np.linalg.eigvalsh(track.position_covariance_m2[knot])
+    weak = [index for index in (-1, -2, -3) if values[index] > limit_m**2]
+    return [_sentence(track, knot, index, where) for index in weak]
+
+
+def _sentence(track: Track, knot: int, index: int, where: str) -> str:
     """Say which direction is weak at a knot, and which sensor errors trade off with it."""
     values, vectors = np.linalg.eigh(track.position_covariance_m2[knot])
-    direction, sigma = vectors[:, -1], float(np.sqrt(values[-1]))
+    direction, sigma = vectors[:, index], float(np.sqrt(values[index]))
     partners = _partners(track, knot, direction, sigma)
     text = f"the position along {_direction(track, knot, direction)}"
     if partners:
@@ -176,6 +263,31 @@ def _partners(track: Track, knot: int, direction: NDArray[np.float64], sigma: fl
     ]
 
 
+def _unseen_misalignments(track: Track) -> list[str]:
+    """Name the axes about which a sensor's misalignment is no better known than before."""
+    states = track.problem.states
+    sentences = []
+    for sensor, name in enumerate(track.recording.sensor_names):
+        own = [
+            column for column in states.of_sensor(sensor)
+            if states.constants[column].channel >= MISALIGNMENT
+        ]  # fmt: skip
+        if not own:
+            continue
+        # Scaled by the prior, whose covariance is the identity.
+        values, vectors = np.linalg.eigh(track.marginals.constants[np.ix_(own, own)])
+        for value, axis in zip(values[::-1], vectors.T[::-1], strict=True):
+            if value < _AS_BEFORE**2:
+                break
+            sigma = float(np.degrees(np.sqrt(value) * states.constants[own[0]].sigma))
+            sentences.append(
+                f"the misalignment of {name} about {_named(axis, _BODY_AXES)} is not determined: "
+                f"its 1-sigma stays at {sigma:.3g} deg; more turns, or a surer height of the "
+                "object, would tell"
+            )
+    return sentences
+
+
 def _direction(track: Track, knot: int, direction: NDArray[np.float64]) -> str:
     """Name a direction by its largest components: up, east, north, or the axes."""
     if track.frame == "ecef":
@@ -183,10 +295,15 @@ def _direction(track: Track, knot: int, direction: NDArray[np.float64]) -> str:
         names = ("east", "north", "up")
     else:
         parts, names = direction, ("x", "y", "z")
+    return _named(parts, names)
+
+
+def _named(parts: NDArray[np.float64], names: tuple[str, ...]) -> str:
+    """Return the names of a unit vector's largest components."""
     order = np.argsort(-np.abs(parts))
     if abs(parts[order[0]]) > 0.95:
-        return names[order[0]]
-    lead = np.sign(parts[order[0]])
+        return str(names[order[0]])
+    lead = float(np.sign(parts[order[0]]))
     text = [
         f"{lead * parts[index]:+.2f} {names[index]}" for index in order if abs(parts[index]) > 0.3
     ]

@@ -7,19 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.attitude import check_attitude
 from geograph.errors import InputError
 from geograph.factors.refraction import refraction
 from geograph.families import (
-    AltitudeFamily,
+    CONSTRAINT_FAMILIES,
     ArrivalFamily,
     BearingFamily,
     FixFamily,
     FrequencyDifferenceFamily,
-    SpeedFamily,
     TimeDifferenceFamily,
     World,
 )
 from geograph.frames import SensorGeometry
+from geograph.ground import check_ground
 from geograph.measurements import Arrivals, Bearings, FrequencyDifferences, TimeDifferences
 from geograph.states import SensorStates
 from geograph.time_shift import TimeShift, time_shift
@@ -157,8 +158,8 @@ class Prepared:
         table = self.recording.constraints
         if table is None:
             return families
-        for family in (AltitudeFamily, SpeedFamily):
-            rows = np.array([kind == family.name for kind in table.kind], dtype=bool)
+        for name, family in CONSTRAINT_FAMILIES.items():
+            rows = np.array([kind == name for kind in table.kind], dtype=bool)
             if rows.any():
                 whole = family(
                     time_s=table.time_s[rows],
@@ -166,6 +167,7 @@ class Prepared:
                     sigma=table.sigma[rows],
                     line=table.line[rows],
                     frame=self.recording.frame,
+                    surface=self.recording.terrain,
                 )
                 families.append(whole.expanded(knots_s))
         return families
@@ -182,7 +184,8 @@ def prepare(recording: Recording) -> Prepared:
     Raises
     ------
     InputError
-        If it has no measurement, a sensor with axes that are not supported, a constraint at a time
+        If it has no measurement, a sensor with axes that are not supported, an implausible
+        attitude or a place below the ground, a constraint at a time
         when nothing was measured yet or any more, or arrivals whose signals take no time.
     """
     tables = recording.tables
@@ -199,6 +202,9 @@ def prepare(recording: Recording) -> Prepared:
             path=recording.path,
         )
     sensors = tuple(recording.sensors.values())
+    for sensor in sensors:
+        check_attitude(sensor, recording.frame)
+    check_ground(recording)
     table = tables.get("bearings")
     bearings = without_refraction(table, sensors) if isinstance(table, Bearings) else None
     used = [column for table in tables.values() for column in _sensor_columns(table)]

@@ -28,8 +28,11 @@ if TYPE_CHECKING:
         Truth,
     )
     from geograph.sensors import Sensor
+    from geograph.terrain import Terrain
 
 Frame = Literal["ecef", "local"]
+HeightDatum = Literal["ellipsoid", "geoid"]
+"""What heights of a terrain are above."""
 MotionName = Literal[
     "static",
     "constant-position",
@@ -184,12 +187,15 @@ class Recording:
         The recording's own defaults for the smoother.
     path
         Where it was read from, if it was.
+    terrain
+        The ground, for heights above it.
 
     Raises
     ------
     InputError
         If the frame is unknown, the speed is not positive or its sigma negative, or a table names
-        a sensor out of range, or a sensor as its own reference.
+        a sensor out of range, or a sensor as its own reference; or if heights above terrain are
+        given without one, or the terrain is of the other frame.
     """
 
     name: str
@@ -206,6 +212,7 @@ class Recording:
     propagation_sigma_m_s: float = 0.0
     settings: SmoothSettings = field(default_factory=SmoothSettings)
     path: Path | None = None
+    terrain: Terrain | None = None
 
     def __post_init__(self) -> None:
         if self.frame not in get_args(Frame):
@@ -225,6 +232,19 @@ class Recording:
             )
         for name, table in self.tables.items():
             self._check_sensors(name, table)
+        kinds = () if self.constraints is None else self.constraints.kind
+        if "height_above_terrain_m" in kinds and self.terrain is None:
+            raise InputError(
+                "a constraint is of height_above_terrain_m, and there is no terrain; expected one "
+                "(terrain in recording.toml)",
+                column="terrain",
+            )
+        if self.terrain is not None and self.terrain.frame != self.frame:
+            raise InputError(
+                f"terrain is in the frame {self.terrain.frame} and the recording in {self.frame}; "
+                "expected one frame",
+                column="terrain",
+            )
 
     def _check_sensors(self, name: str, table: Measurements) -> None:
         for column in ("sensor", "reference"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from geograph.diagnosis import diagnose
 from geograph.eliminate import Marginals
+from geograph.hypotheses import off_terrain
 from geograph.knots import NEGLIGIBLE
 from geograph.observability import WeakDirections, weak_directions
 from geograph.robust import thresholds
@@ -66,17 +67,17 @@ def make_track(smoother: Smoother, *, seconds: float) -> Track:
     )
     weak = weak_directions(track, smoother.emissions()[0])
     lost = _too_few_left(smoother, out)
-    if lost is not None:
-        weak = WeakDirections([lost, *weak.sentences], unobservable=True)
-    if smoother.rivals:
-        others = [rival.sentence(track.frame) for rival in smoother.rivals]
-        weak = WeakDirections([*others, *weak.sentences], unobservable=True)
-    if smoother.culprits is not None:
-        weak = WeakDirections([smoother.culprits, *weak.sentences], unobservable=True)
+    others = [rival.sentence(track.frame) for rival in smoother.rivals]
+    first = ([] if lost is None else [lost]) + _unknown_ground(smoother)
+    culprits = [] if smoother.culprits is None else [smoother.culprits]
+    if culprits or others or first:
+        sentences = [*culprits, *others, *first, *weak.sentences]
+        curved = weak.curved or "".join(others[:1])
+        weak = replace(weak, sentences=sentences, unobservable=True, curved=curved)
     status = solution.status
     if weak.unobservable:
         status = Status.UNOBSERVABLE
-    summary = _summary(smoother, track, found, out=out, weak=weak.sentences, status=status)
+    summary = _summary(smoother, track, found, out=out, weak=weak, status=status)
     summary["seconds"] = seconds
     return replace(track, status=status, summary=summary)
 
@@ -209,7 +210,7 @@ def _summary(
     found: list[Evaluation],
     *,
     out: NDArray[np.bool_],
-    weak: list[str],
+    weak: WeakDirections,
     status: Status,
 ) -> dict[str, Any]:
     problem, solution = smoother.problem, smoother.solution
@@ -230,7 +231,7 @@ def _summary(
     return {
         "name": track.recording.name,
         "status": str(status),
-        "message": _message(status, smoother.iterations, weak),
+        "message": _message(status, smoother.iterations, weak.sentences),
         "iterations": smoother.iterations,
         "cost": solution.cost,
         "chi2": square + prior,
@@ -238,7 +239,14 @@ def _summary(
         "measurements": sum(map(len, families))
         + sum(f.row_count for f in problem.families[len(families) :]),
         "rejected": _rejected(smoother, found, out),
-        "weakly_observed": weak,
+        "weakly_observed": weak.sentences,
+        "directions": [asdict(direction) for direction in weak.directions],
+        "gaussian": {
+            "holds": not weak.curved,
+            "reason": weak.curved or None,
+            "rise_at_one_sigma": weak.curvature,
+        },
+        "hypotheses": [entry.facts(track.frame) for entry in smoother.hypotheses],
         "flagged_sensors": [*_flagged(track), *diagnose(smoother, out)],
         "sensors": _per_sensor(smoother, track, out),
         "motion": problem.motion.name,
@@ -250,6 +258,18 @@ def _summary(
         "interpolation": _interpolation(smoother),
         "first_guess": _guesses(smoother),
     }
+
+
+def _unknown_ground(smoother: Smoother) -> list[str]:
+    """Say so where the path is held to ground whose height the raster does not have."""
+    times = off_terrain(smoother.problem, smoother.solution.values)
+    terrain = smoother.prepared.recording.terrain
+    if not times.size or terrain is None:
+        return []
+    return [
+        f"at t = {times[0]:.6g} s the object is where {terrain.raster.name} has no height, outside "
+        f"of it or in a gap; it covers {terrain.extent_text()}: get a larger or a whole raster"
+    ]
 
 
 def _too_few_left(smoother: Smoother, out: NDArray[np.bool_]) -> str | None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from geograph.families import Values
 from geograph.geodesy import geodetic_from_ecef
+from geograph.hypotheses import Hypothesis, off_terrain, weigh
 from geograph.solver import Solution, Status, solve
 
 if TYPE_CHECKING:
@@ -61,12 +62,15 @@ class Rival:
         When it is furthest from the estimate, and where it is then, shape (3,).
     distance_m
         How far from the estimate that is.
+    weight
+        Its share of the posterior, among all that were found.
     """
 
     rise: float
     time_s: float
     position_m: NDArray[np.float64]
     distance_m: float
+    weight: float
 
     def sentence(self, frame: Frame) -> str:
         """Return a sentence that names it."""
@@ -76,16 +80,19 @@ class Rival:
         else:
             place = "({:.6g}, {:.6g}, {:.6g}) m".format(*self.position_m)
         return (
-            f"another path fits too (cost {self.rise:+.2g}): at t = {self.time_s:.6g} s it is at "
-            f"{place}, {self.distance_m:.4g} m from this one; one more sensor, a bearing or a "
-            "known height would tell which"
+            f"another path fits too (cost {self.rise:+.2g}, weight {self.weight:.2g}): at t = "
+            f"{self.time_s:.6g} s it is at {place}, {self.distance_m:.4g} m from this one; one "
+            "more sensor, a bearing or a known height would tell which"
         )
 
 
 def find_rivals(
     problem: Problem, solution: Solution, attempts: list[Attempt]
-) -> tuple[Solution, list[Rival]]:
+) -> tuple[Solution, list[Rival], list[Hypothesis]]:
     """Return the best solution among all attempts, and the others that the data do not rule out.
+
+    Last come all that were found, with their weights, the best first; those that end on ground
+    whose height is not known are not among them.
 
     Parameters
     ----------
@@ -103,22 +110,30 @@ def find_rivals(
             continue
         other = solve(problem, start, max_iterations=_ITERATIONS)
         known = (_separate(problem, entry, other.values) for entry in found)
-        if other.status is Status.CONVERGED and all(known):
+        lost = off_terrain(problem, other.values).size
+        if other.status is Status.CONVERGED and all(known) and not lost:
             found.append(other)
     best = min(found, key=lambda entry: entry.cost)
     if len(found) > 1 and best.cost < solution.cost - 1e-3:
         solution = best
+    found = [solution, *(entry for entry in found if entry is not solution)]
+    found = [entry for entry in found if entry.elimination is not None]
+    gaps = [
+        np.linalg.norm(entry.values.path[:, :3] - solution.values.path[:, :3], axis=1)
+        for entry in found
+    ]
+    if len(found) < 2 or found[0] is not solution:
+        return solution, [], []
+    hypotheses = weigh(problem, found, int(np.argmax(np.max(gaps, axis=0))))
     rivals = []
-    for other in found:
+    for other, gap, own in zip(found[1:], gaps[1:], hypotheses[1:], strict=True):
         rise = other.cost - solution.cost
-        if other is solution or rise > _RISE or other.elimination is None:
-            continue
-        gap = np.linalg.norm(other.values.path[:, :3] - solution.values.path[:, :3], axis=1)
-        k = int(np.argmax(gap))
-        rivals.append(
-            Rival(rise, float(problem.knots_s[k]), other.values.path[k, :3], float(gap[k]))
-        )
-    return solution, rivals
+        if rise <= _RISE:
+            k = int(np.argmax(gap))
+            place, away = other.values.path[k, :3], float(gap[k])
+            rivals.append(Rival(rise, float(problem.knots_s[k]), place, away, own.weight))
+    rivals.sort(key=lambda rival: -rival.weight)
+    return solution, rivals, [hypotheses[0], *sorted(hypotheses[1:], key=lambda h: -h.weight)]
 
 
 def read_attempt(attempt: Attempt, problem: Problem) -> Values:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
     from scipy.interpolate import CubicSpline
 
+    from geograph.attitude import AttitudeSpline
+
 Axes = Literal["enu", "xyz", "body", "radec"]
 """How a sensor's bearings are measured; see docs/conventions.md."""
 
@@ -99,6 +101,8 @@ class Trajectory:
                 f"trajectory has attitudes of shape {self.attitude_rad.shape}; "
                 f"expected ({time.size}, 3): yaw, pitch, roll"
             )
+        if self.attitude_rad is not None and not np.isfinite(self.attitude_rad).all():
+            raise InputError("trajectory has an attitude that is not finite; remove such rows")
         if not (np.isfinite(time).all() and np.isfinite(position).all()):
             raise InputError("trajectory has a value that is not finite; remove such rows")
         if not (np.diff(time) > 0.0).all():
@@ -110,6 +114,15 @@ class Trajectory:
 
         # A parabola or a line where there are too few points for the not-a-knot condition.
         return CubicSpline(self.time_s, self.position_m, axis=0)
+
+    @cached_property
+    def attitude(self) -> AttitudeSpline | None:
+        """The attitude between samples, or None where it is not known."""
+        if self.attitude_rad is None:
+            return None
+        from geograph.attitude import AttitudeSpline
+
+        return AttitudeSpline(self.time_s, self.attitude_rad)
 
     def position_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
         """Return positions, shape (..., 3), metres, at times in seconds (any shape)."""
@@ -138,7 +151,14 @@ class Sensor:
         For a moving sensor; exactly one of ``position_m`` and ``trajectory`` is given.
     axes
         Axes of its bearings: ``"enu"`` (azimuth clockwise from north, elevation above the geodetic
-        horizon), ``"xyz"`` (on the recording's axes), ``"body"`` or ``"radec"``.
+        horizon), ``"xyz"`` (on the recording's axes), ``"body"`` (forward, right, down by yaw,
+        pitch and roll; needs attitudes) or ``"radec"`` (not supported yet).
+    attitude_rad
+        Shape (3,): yaw, pitch and roll of a fixed sensor with body axes; a moving one has them in
+        its trajectory.
+    unusual_attitude
+        Whether attitudes that look wrong (turning too fast, or yaw in another unit than the course)
+        are used as they are instead of refused.
     errors
         Prior standard deviations of its errors.
     correlation
@@ -166,6 +186,8 @@ class Sensor:
     correlation: float = 0.0
     refraction: Refraction = "none"
     platform_process_noise: float | None = None
+    attitude_rad: NDArray[np.float64] | None = None
+    unusual_attitude: bool = False
 
     def __post_init__(self) -> None:
         if (self.position_m is None) == (self.trajectory is None):
@@ -190,7 +212,31 @@ class Sensor:
                 f"sensor {self.name!r} has refraction {self.refraction!r}; "
                 "expected none or standard"
             )
+        self._check_attitude()
         self._check_platform()
+
+    def _check_attitude(self) -> None:
+        if self.errors.misalignment_rad > 0.0 and self.axes != "body":
+            raise InputError(
+                f"sensor {self.name!r} has a misalignment and axes {self.axes!r}; expected axes "
+                "body, which it turns"
+            )
+        own = self.attitude_rad
+        if own is not None and (
+            self.position_m is None or own.shape != (3,) or not np.isfinite(own).all()
+        ):
+            raise InputError(
+                f"sensor {self.name!r}: expected three finite angles as attitude, of a fixed "
+                "sensor; those of a moving one are in its trajectory"
+            )
+        if self.axes != "body":
+            return
+        moving = self.trajectory
+        if own is None if moving is None else moving.attitude_rad is None:
+            where = "attitude" if moving is None else "attitudes in its trajectory"
+            raise InputError(
+                f"sensor {self.name!r} has axes body and no {where}; expected yaw, pitch and roll"
+            )
 
     def _check_platform(self) -> None:
         noise = self.platform_process_noise

@@ -34,6 +34,7 @@ from geograph.threads import single_blas_thread
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.hypotheses import Hypothesis
     from geograph.initialise import PathFit
     from geograph.knots import Resolution
     from geograph.motion import Motion
@@ -70,12 +71,16 @@ class Smoother:
         Share of the information that lies between the knots.
     undecided
         Whether outliers show, but not which measurements they are.
+    rows
+        Shape (n,): scalars of each measurement.
     attempts
         What the first guesses led to, the best first.
     rivals
         Other paths that fit as well.
     culprits
         A sentence where another sensor than the one left out could be the wrong one.
+    hypotheses
+        All minima that were found, with their weights, the estimate first; empty if it is alone.
     """
 
     prepared: Prepared
@@ -87,6 +92,7 @@ class Smoother:
     rejected: NDArray[np.bool_] = field(init=False)
     attempts: list[Attempt] = field(default_factory=list)
     rivals: list[Rival] = field(default_factory=list)
+    hypotheses: list[Hypothesis] = field(default_factory=list)
     ignored: float = 0.0
     undecided: bool = False
     culprits: str | None = None
@@ -94,7 +100,7 @@ class Smoother:
     def __post_init__(self) -> None:
         families = self.prepared.sensor_families()
         self.rejected = np.zeros(sum(len(family) for family in families), dtype=np.bool_)
-        self._rows = np.concatenate([family.row_counts for family in families])
+        self.rows = np.concatenate([family.row_counts for family in families])
         # Outliers are judged among those of the same sensor and kind.
         sensors = len(self.prepared.sensors)
         kinds = [family.sensor + i * sensors for i, family in enumerate(families)]
@@ -146,20 +152,24 @@ class Smoother:
     def _misfit(self, attempt: Attempt) -> bool:
         """Tell whether most measurements are well beyond their sigmas from an attempt's path."""
         square = self.squares(attempt.problem, attempt.solution.values)
-        typical = float(np.median(square / self._rows))
+        typical = float(np.median(square / self.rows))
         return not typical < _MISFIT * float(chi2.median(1))
 
     def adopt(self, problem: Problem, solution: Solution, rejected: NDArray[np.bool_]) -> None:
         """Take over another solution, with other measurements left out, and refine it."""
         self.problem, self.solution, self.rejected = problem, solution, rejected
         self.iterations += solution.iterations
+        # They were compared with an estimate that is no more.
+        self.rivals, self.hypotheses = [], []
         self._settle()
 
     def _compare(self) -> None:
         """Hold the estimate against what the other first guesses led to."""
         if self.solution.status is not Status.CONVERGED or len(self.attempts) < 2:
             return
-        best, self.rivals = find_rivals(self.problem, self.solution, self.attempts[1:])
+        best, self.rivals, self.hypotheses = find_rivals(
+            self.problem, self.solution, self.attempts[1:]
+        )
         if best is not self.solution:
             self.iterations += best.iterations
             self.solution = best
@@ -168,7 +178,7 @@ class Smoother:
     def _suspect(self, problem: Problem, values: Values) -> bool:
         """Tell whether a first guess shows residuals far outside those of their sensor."""
         square = self.squares(problem, values)
-        return bool((square > thresholds(square, self._rows, self.group)).any())
+        return bool((square > thresholds(square, self.rows, self.group)).any())
 
     def start(self, fit: PathFit, loss: Loss) -> tuple[Problem, Values]:
         """Return the problem and the values that a first guess leads to."""
@@ -221,7 +231,7 @@ class Smoother:
 
     def _reject(self, trial: Loss) -> None:
         """Find the outliers, if there are any, and solve without them."""
-        rows, group = self._rows, self.group
+        rows, group = self.rows, self.group
         plain = self.problem.with_weights(self.weights(None), Loss("none"))
         square = self.squares(self.problem, self.solution.values)
         if self.problem.loss != trial:

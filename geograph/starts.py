@@ -13,7 +13,8 @@ from geograph.knots import Resolution, automatic_spacing, check_memory, place_kn
 from geograph.motion import Density, Motion
 from geograph.problem import PathPrior, Problem
 from geograph.process_noise import guess_noise
-from geograph.states import CLOCK, ELEVATION, POSITION
+from geograph.states import CLOCK, ELEVATION, MISALIGNMENT, POSITION
+from geograph.terrain_starts import ground_height, levelled, terrain_fits
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,7 +38,7 @@ def first_fits(prepared: Prepared, *, static: bool) -> list[PathFit]:
     static
         Whether the object stands still.
     """
-    recording = prepared.recording
+    recording = levelled(prepared.recording)
     fits: list[PathFit] = []
     if prepared.bearings is not None:
         finder = FirstGuess(
@@ -48,7 +49,11 @@ def first_fits(prepared: Prepared, *, static: bool) -> list[PathFit]:
             recording.propagation_speed_m_s,
             static,
         )
-        fits += finder.fits()
+        above, terrain = ground_height(prepared.recording.constraints), recording.terrain
+        if above is not None and terrain is not None:
+            fits += terrain_fits(finder, terrain, above)
+        if not fits:
+            fits += finder.fits()
     if set(recording.tables) != {"bearings"}:
         from geograph.range_starts import range_fits
 
@@ -148,7 +153,7 @@ def _blur(prepared: Prepared, resolved: Resolution) -> float:
     for state in prepared.states.constants:
         if state.drift:
             continue
-        if state.channel <= ELEVATION:
+        if state.channel <= ELEVATION or state.channel >= MISALIGNMENT:
             angles.append(state.sigma / resolved.sigma_rad)
         elif state.channel == CLOCK:
             lengths.append(state.sigma * speed / resolved.sigma_m)

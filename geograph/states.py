@@ -39,9 +39,11 @@ POSITION: Final = 3
 VELOCITY: Final = 6
 FREQUENCY: Final = 9
 SPEED: Final = 10
-CHANNELS: Final = 11
+MISALIGNMENT: Final = 11
+CHANNELS: Final = 14
 """Channels of error: azimuth, elevation (rad), clock (s), position x, y, z (m), velocity x, y, z
-(m/s, of a platform alone), received frequency (Hz), speed of propagation (m/s, common to all)."""
+(m/s, of a platform alone), received frequency (Hz), speed of propagation (m/s, common to all),
+misalignment about body x, y, z (rad)."""
 
 CHANNEL_NAMES: Final = (
     "azimuth",
@@ -55,8 +57,13 @@ CHANNEL_NAMES: Final = (
     "velocity_z",
     "frequency",
     "propagation_speed",
+    "misalignment_x",
+    "misalignment_y",
+    "misalignment_z",
 )
-_UNITS: Final = ("rad", "rad", "s", "m", "m", "m", "m/s", "m/s", "m/s", "Hz", "m/s")
+_UNITS: Final = (
+    *("rad", "rad", "s", "m", "m", "m", "m/s", "m/s", "m/s", "Hz", "m/s", "rad", "rad", "rad"),
+)
 
 NO_SENSOR: Final = -1
 """Index in place of a sensor's for what belongs to the recording as a whole."""
@@ -172,6 +179,7 @@ class SensorStates:
                 (CLOCK, errors.clock_offset_s, errors.clock_drift_s_s),
                 *((POSITION + axis, errors.position_m, 0.0) for axis in range(3)),
                 (FREQUENCY, errors.frequency_offset_hz, errors.frequency_drift_hz_s),
+                *((MISALIGNMENT + axis, errors.misalignment_rad, 0.0) for axis in range(3)),
             )
             for channel, bias, drift in table:
                 if bias > 0.0:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from geograph.eliminate import Marginals
     from geograph.families import Values
+    from geograph.likelihood import LikelihoodMap
     from geograph.problem import Problem
     from geograph.recording import Frame, Recording, SmoothSettings
     from geograph.solver import Status
@@ -296,6 +297,26 @@ class Track(TrackPoints):
             # Back in time: the noise lies between, and is carried back with the state.
             return np.asarray(matrix @ (inner + noise) @ np.swapaxes(matrix, 1, 2))
         return np.asarray(matrix @ inner @ np.swapaxes(matrix, 1, 2) + noise)
+
+    def likelihood_map(self, *, cells: int = 81) -> LikelihoodMap:
+        """Return the posterior of an emitter that stands still as a map over ground.
+
+        For where the ellipse is not the truth (``summary["gaussian"]`` says so): its contours hold
+        the stated probability whatever their shape.
+
+        Parameters
+        ----------
+        cells
+            Cells along a side.
+
+        Raises
+        ------
+        InputError
+            If the object moves, or the grid is not one.
+        """
+        from geograph.likelihood import likelihood_map
+
+        return likelihood_map(self, cells=cells)
 
     def sensor_error_at(
         self,

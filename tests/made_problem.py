@@ -36,6 +36,7 @@ class Kind:
     knots: int = 3
     position_noise: bool = False
     outside: bool = False
+    body: bool = False
 
     @property
     def length_m(self):
@@ -129,14 +130,22 @@ def _sensor(rng, kind, name, position, knots):
         clock_drift_s_s=1e-4 * (kind.clocks and kind.drifts),
         clock_instability_s_sqrt_s=0.002 * kind.clock_walks,
         position_m=0.01 * kind.length_m * kind.positions,
+        misalignment_rad=0.05 * kind.body,
     )
-    axes = "enu" if kind.enu else "xyz"
+    axes = "body" if kind.body else "enu" if kind.enu else "xyz"
     if not kind.moving:
-        return Sensor(name=name, position_m=position, axes=axes, errors=errors)
+        own = {"attitude_rad": rng.uniform(-np.pi, np.pi, 3)} if kind.body else {}
+        return Sensor(name=name, position_m=position, axes=axes, errors=errors, **own)
     times = np.linspace(knots[0] - 40.0, knots[-1] + 40.0, 9)
     motion = position + np.outer(times - times.mean(), rng.normal(size=3)) * kind.object_m_s / 2
     bend = rng.normal(size=(9, 3)) * kind.object_m_s
-    return Sensor(name=name, trajectory=Trajectory(times, motion + bend), axes=axes, errors=errors)
+    attitude = None
+    if kind.body:
+        # Through straight up and straight down, where yaw and roll are one.
+        pitch = rng.choice([-1.0, 1.0]) * np.pi / 2 + 1e-3 * rng.normal(size=9)
+        attitude = np.stack([0.3 * np.arange(9.0), pitch, rng.normal(size=9) * 0.2], axis=1)
+    trajectory = Trajectory(times, motion + bend, attitude)
+    return Sensor(name=name, trajectory=trajectory, axes=axes, errors=errors)
 
 
 def _table(rng, kind, knots, sensors, bearings):

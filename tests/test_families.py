@@ -35,6 +35,7 @@ kinds = st.builds(
     knots=st.integers(2, 4),
     position_noise=st.booleans(),
     outside=st.booleans(),
+    body=st.booleans(),
 )
 
 
@@ -119,6 +120,7 @@ def test_derivatives_with_everything_at_once(motion, frame, speed):
     kind = Kind(
         frame=frame, motion=motion, speed_m_s=speed, moving=True, positions=True, walks=True,
         clock_walks=True, form="mixed", constraints=True, position_noise=True, knots=2,
+        body=speed < 1e6,
     )  # fmt: skip
     smooth = 0
     for seed in range(2):

@@ -77,8 +77,7 @@ def test_local_enu_is_y_x_z_and_xyz_is_the_frame():
     np.testing.assert_array_equal(found.axes[1], np.eye(3))
 
 
-@pytest.mark.parametrize("axes", ["body", "radec"])
-def test_axes_that_are_not_supported(axes):
-    sensor = Sensor(name="S7", position_m=PLACE, axes=axes)
-    with pytest.raises(InputError, match=f"'S7' measures in '{axes}' axes.*expected enu or xyz"):
+def test_axes_that_are_not_supported():
+    sensor = Sensor(name="S7", position_m=PLACE, axes="radec")
+    with pytest.raises(InputError, match=r"'S7' measures in 'radec' axes.*expected enu, xyz or"):
         SensorGeometry([sensor], "ecef")

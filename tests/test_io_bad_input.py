@@ -260,7 +260,12 @@ CASES = {
         '"xyz"\ncorrelation = 1.5',
         r"toml:15, column .*correlation: is 1.5; expected a finite number from 0 to 1",
     ),
-    "terrain": ("recording.toml", "[smooth]", '[terrain]\na = "b"', r"terrain is not supported"),
+    "terrain": (
+        "recording.toml",
+        "[smooth]",
+        '[terrain]\na = "b"',
+        r"is a table; expected text in quotes",
+    ),
     "speed": (
         "recording.toml",
         "[sensors.A]",
@@ -340,7 +345,7 @@ CASES = {
         "constraints.csv",
         "altitude_m",
         "height_above_terrain_m",
-        r"constraints.csv:2, column kind: kind height_above_terrain_m is not supported .* yet",
+        r"constraints.csv:2, column kind: height_above_terrain_m; expected a terrain in recording",
     ),
     "constraint sigma": (
         "constraints.csv",

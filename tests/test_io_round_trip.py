@@ -53,17 +53,25 @@ def trajectories(draw: st.DrawFn) -> Trajectory:
 def sensors(draw: st.DrawFn, name: str) -> Sensor:
     trajectory = draw(st.none() | trajectories())
     position = np.add(draw(st.tuples(numbers, numbers, numbers)), (0.0, 0.0, 7.5e6))
+    posed = trajectory is None or trajectory.attitude_rad is not None
+    axes = draw(st.sampled_from(["enu", "xyz", *(["body"] if posed else [])]))
+    angles = st.floats(-6.28, 6.28)
     errors = {
         entry.name: draw(st.just(0.0) | st.floats(0.0, 10.0, allow_subnormal=False))
         for entry in dataclasses.fields(SensorErrors)
-        if entry.name != "misalignment_rad"
+        if entry.name != "misalignment_rad" or axes == "body"
     }
-    axes = draw(st.sampled_from(["enu", "xyz"]))
     return Sensor(
         name=name,
         position_m=None if trajectory else position,
         trajectory=trajectory,
         axes=axes,
+        attitude_rad=(
+            np.array(draw(st.tuples(angles, angles, angles)))
+            if axes == "body" and trajectory is None
+            else None
+        ),
+        unusual_attitude=axes == "body",
         errors=SensorErrors(**errors),
         correlation=draw(st.floats(0.0, 1.0)),
         refraction=draw(st.sampled_from(["none", "standard"])) if axes == "enu" else "none",

@@ -6,6 +6,7 @@ import pytest
 from differences import assert_derivative
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_ground import hills, local_terrain
 
 from geograph.errors import InputError
 from geograph.factors import (
@@ -15,6 +16,7 @@ from geograph.factors import (
     kinematic_factor,
     prior_factor,
     random_walk_factor,
+    terrain_factor,
 )
 from geograph.factors.gravity import propagate
 from geograph.factors.kinematics import noise_covariance, transition
@@ -64,6 +66,10 @@ def test_bearing(seed, order, form, between, biased):
         options["error_key"] = len(vectors)
         vectors.append(rng.normal(size=2) * 0.1)
         steps.append(np.full(2, 1e-4))
+    if rng.random() < 0.5:
+        options["misalignment_key"] = len(vectors)
+        vectors.append(rng.normal(size=3) * rng.choice([1e-6, 0.05, 1.0]))
+        steps.append(np.full(3, 1e-4))
     factor = bearing_factor(
         0,
         rng.uniform(-0.5, 1.0),
@@ -226,3 +232,23 @@ def test_prior():
 def test_wrong_numbers_are_named(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+@PROFILE
+@given(seeds, orders)
+def test_height_above_terrain(seed, order):
+    rng = np.random.default_rng(seed)
+    terrain = local_terrain(hills, low=-500.0, high=500.0)
+    state = np.concatenate([rng.uniform(-400.0, 400.0, 2), rng.normal(size=3 * order - 2) * 50.0])
+    factor = terrain_factor(0, 3.0, 2.0, surface=terrain, order=order, frame="local")
+    expected = (state[2] - terrain.elevation(state[None, :3])[0][0] - 3.0) / 2.0
+    values = gtsam.Values()
+    values.insert(0, state)
+    assert factor.unwhitenedError(values)[0] == pytest.approx(expected)
+    # Short steps: curvatures jump from cell to cell.
+    check(factor, [state], [np.full(3 * order, 1e-4)], rtol=1e-4)
+
+
+def test_height_above_terrain_needs_numbers():
+    with pytest.raises(InputError, match="height above terrain is nan"):
+        terrain_factor(0, np.nan, 1.0, surface=local_terrain(hills), frame="local")

@@ -168,12 +168,35 @@ def _notes(results: Results) -> str:
         notes.append("! further than 3 prior sigmas from zero")
     if len(results.sensors) > _MOST_SENSORS:
         notes.append(f"... {len(results.sensors) - _MOST_SENSORS} more sensors in sensors.csv")
+    notes += _hypotheses(results)
+    curved = (results.summary.get("gaussian") or {}).get("reason")
+    if curved and results.static:
+        notes.append(f"not Gaussian: {curved}; its contours: geograph.smooth(...).likelihood_map()")
     for key in ("flagged_sensors", "weakly_observed"):
         sentences = [str(sentence) for sentence in results.summary.get(key) or ()]
         notes += sentences[:_MOST_NOTES]
         if len(sentences) > _MOST_NOTES:
             notes.append(f"... {len(sentences) - _MOST_NOTES} more in summary.json ({key})")
     return "\n".join(notes)
+
+
+def _hypotheses(results: Results) -> list[str]:
+    """List the places that fit, with their weights, where there are several."""
+    found = results.summary.get("hypotheses") or []
+    lines = []
+    for entry in found[:_MOST_NOTES]:
+        if "latitude_deg" in entry:
+            place = (
+                f"{entry['latitude_deg']:.6f} deg, {entry['longitude_deg']:.6f} deg, "
+                f"{entry['height_m']:.1f} m"
+            )
+        else:
+            place = "({:.1f}, {:.1f}, {:.1f}) m".format(*entry["position_m"])
+        lines.append(
+            f"weight {entry['weight']:.3f}: {place} at t = {entry['time_s']:.6g} s, 1-sigma "
+            f"{length_text(entry['sigma_m'])} at most"
+        )
+    return [f"{len(found)} places fit:", *lines] if lines else []
 
 
 def _fixes_note(results: Results) -> list[str]:

@@ -128,7 +128,8 @@ def run_bound(source: Path, request: Request) -> int:
 
 def _print(found: PathBound, over: BoundMap | None, request: Request) -> None:
     parts: list[str | Rows] = [_headline(found), _sigmas(found, request.signal)]
-    parts += [_knot_rows(found), _summary_rows(found), _sensor_rows(found), _notes(found)]
+    parts += [_knot_rows(found), _summary_rows(found), _direction_rows(found)]
+    parts += [_sensor_rows(found), _notes(found)]
     if over is not None:
         parts.append(_map_text(over))
     if request.output is not None:
@@ -267,6 +268,16 @@ def _summary_rows(found: PathBound) -> Rows:
     for name, values in columns.items():
         rows.append([name, *(_figure(float(value or 0.0)) for value in extremes(values).values())])
     return rows
+
+
+def _direction_rows(found: PathBound) -> Rows:
+    """Return the eigenvectors of the position's information, best knot first."""
+    rows = [["direction", "time (s)", "sigma (m)"]]
+    for entry in found.directions:
+        mark = " weak" if entry.weak else ""
+        time = f"{round(entry.time_s, 3) + 0.0:.3f}"
+        rows.append([entry.name, time, _figure(entry.sigma_m) + mark])
+    return rows if len(rows) > 1 else []
 
 
 def _sensor_rows(found: PathBound) -> Rows:

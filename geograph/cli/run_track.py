@@ -216,7 +216,11 @@ def _session(
     stack.callback(output.close)
     return Session(
         engine=_engine(recording, request),
-        assembler=Assembler(recording.sensors, recording.propagation_speed_m_s),
+        assembler=Assembler(
+            recording.sensors,
+            recording.propagation_speed_m_s,
+            terrain=recording.terrain is not None,
+        ),
         output=output,
         report=_say,
         journal=journal,

@@ -9,12 +9,18 @@ and the residual report all call the same pass.
 from geograph.families.arrivals import ArrivalFamily
 from geograph.families.base import Evaluation, Family, Report, SensorFamily, Values
 from geograph.families.bearings import BearingFamily
-from geograph.families.constraints import AltitudeFamily, SpeedFamily
+from geograph.families.constraints import (
+    CONSTRAINT_FAMILIES,
+    AltitudeFamily,
+    SpeedFamily,
+    TerrainFamily,
+)
 from geograph.families.differences import FrequencyDifferenceFamily, TimeDifferenceFamily
 from geograph.families.fixes import FixFamily
 from geograph.families.rays import World
 
 __all__ = [
+    "CONSTRAINT_FAMILIES",
     "AltitudeFamily",
     "ArrivalFamily",
     "BearingFamily",
@@ -25,6 +31,7 @@ __all__ = [
     "Report",
     "SensorFamily",
     "SpeedFamily",
+    "TerrainFamily",
     "TimeDifferenceFamily",
     "Values",
     "World",

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.factors.attitude import Turned, misaligned
 from geograph.factors.bearing import coordinate_residual, predict_bearing, tangent_residual
 from geograph.factors.light_time import Sight, light_time_correction, sight
 from geograph.families.base import Evaluation, Report, SensorFamily, Values
@@ -15,6 +16,7 @@ from geograph.states import (
     CHANNELS,
     CLOCK,
     ELEVATION,
+    MISALIGNMENT,
     POSITION,
     SPEED,
     VELOCITY,
@@ -103,6 +105,7 @@ class BearingFamily(SensorFamily):
         channels = {state.channel for state in states.constants}
         self._clocked = CLOCK in channels | {walk.channel for walk in states.walks}
         self._fast = SPEED in channels
+        self._turned = MISALIGNMENT in channels
         self._light_time = np.zeros(len(bearings))
         self._walk_time = bearings.time_s.copy()
         self._poses: SensorPoses | None = None
@@ -209,6 +212,21 @@ class BearingFamily(SensorFamily):
         self._place = (path, place)
         return place
 
+    def _in_true_axes(
+        self,
+        poses: SensorPoses,
+        line_of_sight_m: NDArray[np.float64],
+        errors: NDArray[np.float64],
+        *,
+        jacobian: bool = False,
+    ) -> Turned:
+        """Return lines of sight along the rows of the sensors' axes, misalignments included."""
+        sight_axes = np.matmul(poses.axes, line_of_sight_m[:, :, None])[:, :, 0]
+        if not self._turned:
+            return Turned(sight_axes, poses.axes, None)
+        angles = errors[:, MISALIGNMENT : MISALIGNMENT + 3]
+        return misaligned(sight_axes, angles, jacobian=jacobian)
+
     def _residual(
         self, sight_axes: NDArray[np.float64], errors: NDArray[np.float64], jacobian: bool
     ) -> BearingResidual:
@@ -251,8 +269,8 @@ class BearingFamily(SensorFamily):
         if self.terms.chains.row.size:
             # Read where the derivative is taken, in the interval of the emission.
             errors = self._errors(path, values, place.interval)
-        sight_axes = np.matmul(poses.axes, line[:, :, None])[:, :, 0]
-        result = self._residual(sight_axes, errors, jacobian)
+        turned = self._in_true_axes(poses, line, errors, jacobian=jacobian)
+        result = self._residual(turned.line_of_sight_m, errors, jacobian)
         white = self._white
         residual = result.value * white
         constant, walks = self.terms.constants, self.terms.chains
@@ -261,7 +279,7 @@ class BearingFamily(SensorFamily):
         by_channel = np.zeros((0, 2, CHANNELS))
         if jacobian:
             by_channel, by_knots = self._derivatives(
-                result, found, place, poses, state, errors=errors
+                result, found, place, poses, state, errors=errors, turned=turned
             )
         return Evaluation(
             residual,
@@ -290,6 +308,7 @@ class BearingFamily(SensorFamily):
         state: PathState,
         *,
         errors: NDArray[np.float64],
+        turned: Turned,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return whitened derivatives by the channels (n, 2, CHANNELS) and by the knots' states.
 
@@ -301,8 +320,11 @@ class BearingFamily(SensorFamily):
         assert result.by_error is not None
         white = self._white[:, :, None]
         in_axes = result.by_line_of_sight * white
-        by_sight = in_axes @ poses.axes
         by_channel = np.zeros((len(self), 2, CHANNELS))
+        if turned.by_misalignment is not None:
+            by_channel[:, :, MISALIGNMENT : MISALIGNMENT + 3] = in_axes @ turned.by_misalignment
+            in_axes = in_axes @ turned.by_line_of_sight
+        by_sight = in_axes @ poses.axes
         if np.isfinite(self.speed_m_s):
             speed = self.speed_m_s + errors[:, SPEED]
             if self._fast:
@@ -321,8 +343,8 @@ class BearingFamily(SensorFamily):
             closing = found.velocity_m_s - poses.velocity_m_s - errors[:, VELOCITY : VELOCITY + 3]
             by_time = np.matmul(by_sight, closing[:, :, None])[:, :, 0]
             if poses.axes_rate is not None:
-                turned = np.matmul(poses.axes_rate, found.line_of_sight_m[:, :, None])
-                by_time += np.matmul(in_axes, turned)[:, :, 0]
+                moved = np.matmul(poses.axes_rate, found.line_of_sight_m[:, :, None])
+                by_time += np.matmul(in_axes, moved)[:, :, 0]
             by_channel[:, :, CLOCK] = -by_time
         by_position = by_sight
         if self.spin_rad_s != 0.0:
@@ -360,8 +382,8 @@ class BearingFamily(SensorFamily):
         """
         state = path.at_state(values.path, jacobian=False)
         found, place, poses, errors = self._find(path, state, values)
-        sight_axes = np.matmul(poses.axes, found.line_of_sight_m[:, :, None])[:, :, 0]
-        bearing, _ = predict_bearing(sight_axes)
+        turned = self._in_true_axes(poses, found.line_of_sight_m, errors)
+        bearing, _ = predict_bearing(turned.line_of_sight_m)
         bearing += errors[:, [AZIMUTH, ELEVATION]]
         turns = np.round((self.bearings.azimuth_rad - bearing[:, 0]) / (2.0 * np.pi))
         bearing[:, 0] += 2.0 * np.pi * turns

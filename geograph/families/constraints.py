@@ -1,4 +1,4 @@
-"""What is known of the path itself: its height, its speed."""
+"""What is known of the path itself: its height, above ellipsoid or ground, and its speed."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geograph.factors.constraints import altitude, speed
+from geograph.factors.terrain import height_above_terrain
 from geograph.families.base import Evaluation, Family, Values, path_only_evaluation
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.factors.terrain import Surface
     from geograph.path import Path, PathState
     from geograph.recording import Frame
 
@@ -31,6 +33,8 @@ class _ConstraintFamily(Family):
         Shape (n,): lines in the file.
     frame
         The recording's frame.
+    surface
+        The ground, for heights above it.
     """
 
     rows = 1
@@ -43,12 +47,14 @@ class _ConstraintFamily(Family):
         sigma: NDArray[np.float64],
         line: NDArray[np.int64],
         frame: Frame,
+        surface: Surface | None = None,
     ) -> None:
         self.time_s = time_s
         self.value = value
         self.sigma = sigma
         self.line = line
         self.frame: Frame = frame
+        self.surface = surface
         self.row_count = int(time_s.size)
 
     def expanded(self, knots_s: NDArray[np.float64]) -> _ConstraintFamily:
@@ -70,6 +76,7 @@ class _ConstraintFamily(Family):
             ),
             line=np.concatenate([self.line[timed], np.repeat(self.line[whole], count)]),
             frame=self.frame,
+            surface=self.surface,
         )
         expanded.row_count = self.row_count
         return expanded
@@ -81,6 +88,7 @@ class _ConstraintFamily(Family):
             sigma=self.sigma[index],
             line=self.line[index],
             frame=self.frame,
+            surface=self.surface,
         )
 
 
@@ -123,3 +131,32 @@ class SpeedFamily(_ConstraintFamily):
         rows = (gradient / self.sigma[:, None])[:, None, :]
         chained = state.chain(place, np.zeros_like(rows), rows)
         return path_only_evaluation(residual, place.interval, chained)
+
+
+class TerrainFamily(_ConstraintFamily):
+    """Height above the ground, metres."""
+
+    name = "height_above_terrain_m"
+
+    def evaluate(
+        self, path: Path, state: PathState, values: Values, *, jacobian: bool
+    ) -> Evaluation:
+        """Evaluate all constraints at one point."""
+        del values
+        assert self.surface is not None
+        place = path.locate(self.time_s)
+        position, _ = state.position_velocity(place)
+        predicted, gradient = height_above_terrain(
+            position, self.frame, self.surface, jacobian=jacobian
+        )
+        residual = ((predicted - self.value) / self.sigma)[:, None]
+        if gradient is None:
+            return path_only_evaluation(residual, place.interval, None)
+        rows = (gradient / self.sigma[:, None])[:, None, :]
+        return path_only_evaluation(residual, place.interval, state.chain(place, rows, None))
+
+
+CONSTRAINT_FAMILIES = {
+    family.name: family for family in (AltitudeFamily, SpeedFamily, TerrainFamily)
+}
+"""Families by the kind of constraint in their table."""

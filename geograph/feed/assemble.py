@@ -51,11 +51,16 @@ class Assembler:
         By name, in the order of their indices.
     speed_m_s
         Speed of propagation.
+    terrain
+        Whether there is a terrain that heights above it can be counted from.
     """
 
-    def __init__(self, sensors: Mapping[str, Sensor], speed_m_s: float) -> None:
+    def __init__(
+        self, sensors: Mapping[str, Sensor], speed_m_s: float, *, terrain: bool = False
+    ) -> None:
         self._sensors = sensors
         self._speed_m_s = speed_m_s
+        self._terrain = terrain
 
     def tables(self, rows: Sequence[Row]) -> list[Measurements | Constraints]:
         """Return what rows hold.
@@ -104,7 +109,7 @@ class Assembler:
         name, table = named
         check_magnitudes(table, TABLE_COLUMNS[name])
         if name == "constraints":
-            return constraints_of(table)
+            return constraints_of(table, terrain=self._terrain)
         if name == "bearings":
             return bearings_of(table, self._sensors)
         if not math.isfinite(self._speed_m_s):

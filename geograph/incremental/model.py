@@ -10,7 +10,7 @@ import numpy as np
 
 from geograph.blocks import BlockSum, ColumnLayout
 from geograph.common import settled
-from geograph.families import AltitudeFamily, FixFamily, SensorFamily, SpeedFamily
+from geograph.families import CONSTRAINT_FAMILIES, FixFamily, SensorFamily
 from geograph.incremental.chain import Piece
 from geograph.incremental.rows import FIXES, TABLES, join, table_of, take
 from geograph.knots import add_path_noise
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from geograph.time_shift import TimeShift
 
 _ROUNDS = 6
-_WHOLE = {"altitude_m": AltitudeFamily, "speed_m_s": SpeedFamily}
 
 # Share of the spacing by which emissions may lie beyond the knots, as in a batch.
 _SLACK = 0.05
@@ -170,12 +169,13 @@ class Model:
             return family
         if kind == FIXES:
             raise KeyError(kind)
-        return _WHOLE[kind](
+        return CONSTRAINT_FAMILIES[kind](
             time_s=columns["time_s"],
             value=columns["value"],
             sigma=columns["sigma"],
             line=columns["line"],
             frame=prepared.recording.frame,
+            surface=prepared.recording.terrain,
         )
 
     def families(self, rows: Rows) -> Iterable[tuple[str, Columns, Family]]:
@@ -333,12 +333,13 @@ class Model:
         for kind, columns in self.whole.items():
             size, times = columns["value"].size, knots_s.size
             found.append(
-                _WHOLE[kind](
+                CONSTRAINT_FAMILIES[kind](
                     time_s=np.repeat(knots_s, size),
                     value=np.tile(columns["value"], times),
                     sigma=np.tile(columns["sigma"], times) / np.sqrt(np.repeat(share, size)),
                     line=np.tile(columns["line"], times),
                     frame=self.prepared.recording.frame,
+                    surface=self.prepared.recording.terrain,
                 )
             )
         return found

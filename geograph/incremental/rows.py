@@ -8,7 +8,7 @@ asked about one that does not count) and ``delay_s`` (about how long its signal 
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from geograph.errors import UpdateError
 from geograph.measurements import (
     Arrivals,
     Bearings,
+    ConstraintKind,
     Constraints,
     FrequencyDifferences,
     TimeDifferences,
@@ -38,7 +39,7 @@ TABLES: Final[dict[str, type]] = {
     "time_differences": TimeDifferences,
     "frequency_differences": FrequencyDifferences,
 }
-CONSTRAINTS: Final = ("altitude_m", "speed_m_s")
+CONSTRAINTS: Final = get_args(ConstraintKind)
 FIXES: Final = "fixes"
 
 _OWN: Final = ("ident", "kept", "judged", "delay_s")

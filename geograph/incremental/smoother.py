@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from geograph.measurements import Constraints, Measurements
     from geograph.recording import Frame
     from geograph.sensors import Sensor
+    from geograph.terrain import Terrain
     from geograph.track import Track
 
 _log = logging.getLogger("geograph.incremental")
@@ -65,6 +66,8 @@ class IncrementalSmoother:
         ``settings``.
     frame, epoch, propagation_speed_m_s, propagation_sigma_m_s
         As of a :class:`geograph.Recording`.
+    terrain
+        Ground that constraints count heights from, or None.
     lag
         Seconds that are held; what is older stays as a prior. None: everything is held.
     settings
@@ -89,6 +92,7 @@ class IncrementalSmoother:
         epoch: datetime | None = None,
         propagation_speed_m_s: float = SPEED_OF_LIGHT_M_S,
         propagation_sigma_m_s: float = 0.0,
+        terrain: Terrain | None = None,
         lag: float | None = None,
         settings: SmoothSettings | None = None,
         engine: EngineName = "structured",
@@ -110,6 +114,7 @@ class IncrementalSmoother:
             epoch=epoch,
             propagation_speed_m_s=propagation_speed_m_s,
             propagation_sigma_m_s=propagation_sigma_m_s,
+            terrain=terrain,
             settings=chosen,
         )
         self._state = State(template, chosen, lag, engine == "isam2")
@@ -146,6 +151,7 @@ class IncrementalSmoother:
             epoch=recording.epoch,
             propagation_speed_m_s=recording.propagation_speed_m_s,
             propagation_sigma_m_s=recording.propagation_sigma_m_s,
+            terrain=recording.terrain,
             lag=lag,
             settings=recording.settings,
             engine=engine,

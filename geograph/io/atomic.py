@@ -33,7 +33,7 @@ RECORDING_MARKERS = ("recording.toml",)
 RESULT_FILES = ("*.csv", "*.png", "summary.json")
 """Files of a results folder that a new run replaces; all others stay."""
 
-RECORDING_FILES = ("recording.toml", "*.csv", "*.parquet")
+RECORDING_FILES = ("recording.toml", "*.csv", "*.parquet", "*.tif", "*.tiff")
 """Files of a recording that writing it anew replaces; all others stay."""
 
 _AT_FDCWD = -100

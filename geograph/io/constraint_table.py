@@ -13,9 +13,6 @@ from geograph.measurements import ConstraintKind, Constraints
 if TYPE_CHECKING:
     from geograph.io.tables import Table
 
-LATER_CONSTRAINTS = ("height_above_terrain_m",)
-"""Kinds that a later version is to have."""
-
 CONSTRAINT_COLUMNS = (
     ColumnSpec("time_s", may_be_empty=True, limit=MAX_TIME_S),
     ColumnSpec("kind", Kind.TEXT),
@@ -24,13 +21,15 @@ CONSTRAINT_COLUMNS = (
 )
 
 
-def constraints_of(table: Table) -> Constraints:
+def constraints_of(table: Table, *, terrain: bool) -> Constraints:
     """Return what a table of constraints holds.
 
     Parameters
     ----------
     table
         As read with :data:`CONSTRAINT_COLUMNS`.
+    terrain
+        Whether the recording has a terrain that heights above it can be counted from.
 
     Raises
     ------
@@ -42,11 +41,16 @@ def constraints_of(table: Table) -> Constraints:
         if kind in get_args(ConstraintKind):
             continue
         row = int(np.argmax(kinds.codes == code))
-        if kind in LATER_CONSTRAINTS:
-            what = f"kind {kind} is not supported by this version of geograph yet"
-        else:
-            what = f"unknown kind {shown(kind)}" if kind else "empty cell"
+        what = f"unknown kind {shown(kind)}" if kind else "empty cell"
         table.fail(row, "kind", expected_one_of(kind, get_args(ConstraintKind)), given=what)
+    ground = np.array([kind == "height_above_terrain_m" for kind in kinds.values])[kinds.codes]
+    if not terrain and ground.any():
+        table.fail(
+            int(np.argmax(ground)),
+            "kind",
+            "expected a terrain in recording.toml beside it; name its GeoTIFF there",
+            given="height_above_terrain_m",
+        )
     value, sigma = table.numbers["value"], table.numbers["sigma"]
     table.check(sigma >= 1e-12, "sigma", "expected a sigma above 0 (at least 1e-12)")
     speeds = np.array([kind == "speed_m_s" for kind in kinds.values])[kinds.codes]

@@ -13,7 +13,7 @@ from geograph.constants import SPEED_OF_LIGHT_M_S
 from geograph.errors import InputError
 from geograph.io.messages import shown
 from geograph.io.tables import MAX_COORDINATE_M, MAX_VALUE
-from geograph.recording import Frame, LossName, MotionName, SmoothSettings
+from geograph.recording import Frame, HeightDatum, LossName, MotionName, SmoothSettings
 from geograph.sensors import SensorErrors
 
 if TYPE_CHECKING:
@@ -36,12 +36,17 @@ _TOP_KEYS = (
     "sensors",
     "smooth",
     "terrain",
+    "terrain_heights",
+    "geoid_undulation_m",
 )
 _SENSOR_KEYS = (
     "geodetic",
     "position_m",
     "trajectory",
     "axes",
+    "attitude_deg",
+    "attitude_rad",
+    "unusual_attitude",
     "errors",
     "correlation",
     "refraction",
@@ -58,8 +63,8 @@ _METRE_KEYS = {
     "clock_instability_m_sqrt_s": "clock_instability_s_sqrt_s",
 }
 """Errors of clocks by the way of the signal in their time: divided by the speed of propagation."""
-_AXES = ("enu", "xyz")
-_LATER_AXES = ("body", "radec")
+_AXES = ("enu", "xyz", "body")
+_LATER_AXES = ("radec",)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -74,6 +79,17 @@ class SensorEntry:
     correlation: float
     refraction: Refraction
     platform_process_noise: float | None
+    attitude_rad: NDArray[np.float64] | None
+    unusual_attitude: bool
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TerrainEntry:
+    """The ground as the header has it: its file, and what its heights are above."""
+
+    file: str
+    heights: HeightDatum | None
+    geoid_undulation_m: float | None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -86,16 +102,13 @@ class Header:
     propagation_sigma_m_s: float
     sensors: dict[str, SensorEntry]
     settings: SmoothSettings
+    terrain: TerrainEntry | None
 
 
 def read_header(document: Document) -> Header:
     """Return what a header says; raises InputError at the first thing that is wrong in it."""
     _check_version(document)
     root = document.table((), document.root, _TOP_KEYS)
-    if "terrain" in root:
-        document.fail(
-            ("terrain",), "terrain is not supported by this version of geograph yet; remove it"
-        )
     if "frame" not in root:
         document.fail((), "frame is missing; expected ecef or local; add it")
     frame = cast("Frame", document.choice(("frame",), root["frame"], get_args(Frame)))
@@ -114,6 +127,38 @@ def read_header(document: Document) -> Header:
             name: _sensor(document, name, entry, frame, speed) for name, entry in entries.items()
         },
         settings=_settings(document, root.get("smooth", {})),
+        terrain=_terrain(document, root, frame),
+    )
+
+
+def _terrain(document: Document, root: dict[str, Any], frame: Frame) -> TerrainEntry | None:
+    keys = [key for key in ("terrain_heights", "geoid_undulation_m") if key in root]
+    if "terrain" not in root:
+        if keys:
+            document.fail((keys[0],), f"{keys[0]} needs a terrain; name its GeoTIFF or remove it")
+        return None
+    if keys and frame == "local":
+        document.fail(
+            (keys[0],),
+            f"{keys[0]} is for the frame ecef; in a local frame the raster's heights are z; remove "
+            "it",
+        )
+    file = _file_name(document, ("terrain",), root["terrain"], (".tif", ".tiff"), "GeoTIFF")
+    heights = root.get("terrain_heights")
+    if heights is not None:
+        heights = document.choice(("terrain_heights",), heights, get_args(HeightDatum))
+    undulation = root.get("geoid_undulation_m")
+    if undulation is not None:
+        # The geoid is nowhere further from the ellipsoid.
+        undulation = document.number(("geoid_undulation_m",), undulation, low=-120.0, high=120.0)
+        if heights == "ellipsoid":
+            document.fail(
+                ("geoid_undulation_m",),
+                "geoid_undulation_m is of heights above the geoid, and terrain_heights is "
+                "ellipsoid; remove one of them",
+            )
+    return TerrainEntry(
+        file=file, heights=cast("HeightDatum | None", heights), geoid_undulation_m=undulation
     )
 
 
@@ -188,13 +233,28 @@ def _sensor(
     if refraction != "none" and axes != "enu":
         document.fail((*path, "refraction"), f"refraction needs axes enu; given axes {axes}")
     errors = _errors(document, (*path, "errors"), table.get("errors", {}), speed_m_s)
+    if errors.misalignment_rad > 0.0 and axes != "body":
+        given = [key for key in table["errors"] if key.startswith("misalignment")]
+        document.fail(
+            (*path, "errors", given[0]),
+            f"misalignment needs axes body, which it turns; given axes {axes}",
+        )
+    unusual = table.get("unusual_attitude", False)
+    if not isinstance(unusual, bool):
+        document.fail((*path, "unusual_attitude"), f"is {shown(unusual)}; expected true or false")
     return SensorEntry(
         name=name,
         position_m=_position(document, path, table, frame) if trajectory is None else None,
         trajectory=(
             None
             if trajectory is None
-            else _trajectory_name(document, (*path, "trajectory"), trajectory)
+            else _file_name(
+                document,
+                (*path, "trajectory"),
+                trajectory,
+                (".csv", ".parquet"),
+                ".csv or .parquet file",
+            )
         ),
         axes=axes,
         errors=errors,
@@ -203,7 +263,36 @@ def _sensor(
         ),
         refraction=cast("Refraction", refraction),
         platform_process_noise=_platform(document, path, table, errors),
+        attitude_rad=_attitude(document, path, table, axes),
+        unusual_attitude=unusual,
     )
+
+
+def _attitude(
+    document: Document, path: KeyPath, table: dict[str, Any], axes: Axes
+) -> NDArray[np.float64] | None:
+    """Return yaw, pitch and roll of a fixed sensor, radians, shape (3,), or None."""
+    names = [name for name in ("attitude_deg", "attitude_rad") if name in table]
+    needed = axes == "body" and "trajectory" not in table
+    if not names and not needed:
+        return None
+    if not names:
+        document.fail(
+            (*path, "axes"),
+            "axes body of a fixed sensor need its attitude; expected attitude_deg = [yaw, pitch, "
+            "roll]; add it",
+        )
+    key = (*path, names[-1])
+    if len(names) > 1:
+        document.fail(
+            key, "attitude_rad is there beside attitude_deg; expected one of them; remove the other"
+        )
+    if not needed:
+        given = f"given axes {axes}" if axes != "body" else "a moving one has it in its trajectory"
+        document.fail(key, f"is for fixed sensors with axes body; {given}; remove it")
+    limit = 360.0 if names[0] == "attitude_deg" else 2.0 * math.pi
+    angles = np.array(_three(document, key, table[names[0]], "[yaw, pitch, roll]", limit))
+    return np.radians(angles) if names[0] == "attitude_deg" else angles
 
 
 def _platform(
@@ -282,15 +371,15 @@ def _three(
     return x, y, z
 
 
-def _trajectory_name(document: Document, path: KeyPath, value: object) -> str:
+def _file_name(
+    document: Document, path: KeyPath, value: object, suffixes: tuple[str, ...], what: str
+) -> str:
+    """Return the name of a file in the recording."""
     name = document.text_of(path, value)
     parts = name.split("/")
     plain_path = all(part and part != ".." for part in parts) and "\\" not in name
-    if not plain_path or not name.isprintable() or not name.endswith((".csv", ".parquet")):
-        document.fail(
-            path,
-            f"is {shown(name)}; expected the name of a .csv or .parquet file in the recording",
-        )
+    if not plain_path or not name.isprintable() or not name.endswith(suffixes):
+        document.fail(path, f"is {shown(name)}; expected the name of a {what} in the recording")
     return name
 
 
@@ -309,11 +398,6 @@ def _errors(document: Document, path: KeyPath, value: object, speed_m_s: float) 
                 "of them; remove the other",
             )
         given[name] = key
-        if name == "misalignment_rad":
-            document.fail(
-                where,
-                "misalignment needs axes body, which this version of geograph does not support yet",
-            )
         number = document.number(where, entry, high=MAX_VALUE)
         if number < 0.0:
             document.fail(where, f"prior sigma is {number:g}; expected at least 0 (0: known)")

@@ -7,6 +7,7 @@ import math
 import re
 from dataclasses import fields
 from datetime import UTC
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from geograph.recording import Recording
     from geograph.sensors import Sensor
+    from geograph.terrain import Terrain
 
 
 def header_text(recording: Recording, trajectories: Mapping[str, str], target: Path) -> str:
@@ -58,6 +60,13 @@ def header_text(recording: Recording, trajectories: Mapping[str, str], target: P
         lines.append(f"propagation_speed_m_s = {_number(recording.propagation_speed_m_s)}")
     if recording.propagation_sigma_m_s:
         lines.append(f"propagation_sigma_m_s = {_number(recording.propagation_sigma_m_s)}")
+    terrain = recording.terrain
+    if terrain is not None:
+        lines.append(f"terrain = {_text(terrain_name(terrain))}")
+        if terrain.heights is not None:
+            lines.append(f"terrain_heights = {_text(terrain.heights)}")
+        if terrain.geoid_undulation_m is not None:
+            lines.append(f"geoid_undulation_m = {_number(terrain.geoid_undulation_m)}")
     for name, sensor in recording.sensors.items():
         if not valid_sensor_name(name) or name != sensor.name:
             raise InputError(
@@ -70,6 +79,12 @@ def header_text(recording: Recording, trajectories: Mapping[str, str], target: P
     return "\n".join([*lines, "", "[smooth]", *settings]) + "\n"
 
 
+def terrain_name(terrain: Terrain) -> str:
+    """Return the name of the file that a terrain is written to."""
+    stem = PurePath(terrain.raster.name).stem
+    return f"{stem or 'terrain'}.tif"
+
+
 def _sensor_lines(sensor: Sensor, trajectory: str | None, frame: str) -> list[str]:
     table = f"sensors.{_key(sensor.name)}"
     lines = ["", f"[{table}]"]
@@ -80,6 +95,14 @@ def _sensor_lines(sensor: Sensor, trajectory: str | None, frame: str) -> list[st
         name, values = ("position_m", sensor.position_m) if geodetic is None else geodetic
         lines.append(f"{name} = [{', '.join(_number(value) for value in values.tolist())}]")
     lines.append(f"axes = {_text(sensor.axes)}")
+    if sensor.attitude_rad is not None:
+        degrees = exact_degrees(sensor.attitude_rad)
+        name, angles = ("attitude_rad", sensor.attitude_rad)
+        if degrees is not None:
+            name, angles = ("attitude_deg", degrees)
+        lines.append(f"{name} = [{', '.join(_number(value) for value in angles.tolist())}]")
+    if sensor.unusual_attitude:
+        lines.append("unusual_attitude = true")
     if sensor.correlation:
         lines.append(f"correlation = {_number(sensor.correlation)}")
     if sensor.refraction != "none":

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from geograph.measurements import Constraints
     from geograph.recording import Frame
+    from geograph.terrain import Terrain
 
 TABLES = (*MEASUREMENT_COLUMNS, "constraints", "truth")
 
@@ -95,8 +96,12 @@ def read(path: Path | str) -> Recording:
         arrivals=measured.arrivals,
         time_differences=measured.time_differences,
         frequency_differences=measured.frequency_differences,
-        constraints=_read_constraints(source),
+        constraints=_read_constraints(source, setup.terrain),
     )
+    if recording.terrain is not None:
+        from geograph.ground import check_ground
+
+        check_ground(recording)
     return replace(recording, truth=_read_truth(source, recording.time_span_s))
 
 
@@ -137,6 +142,7 @@ def _read_setup(source: Source) -> tuple[Document, Header, Recording]:
             name: _read_sensor(source, document, entry, header.frame)
             for name, entry in header.sensors.items()
         },
+        terrain=_read_terrain(source, document, header),
         epoch=header.epoch,
         propagation_speed_m_s=header.propagation_speed_m_s,
         propagation_sigma_m_s=header.propagation_sigma_m_s,
@@ -174,7 +180,14 @@ def _read_sensor(source: Source, document: Document, entry: SensorEntry, frame: 
                 "or .parquet file in its folder",
             )
         trajectory = _read_trajectory(source, entry.trajectory, frame)
-    return Sensor(
+        if entry.axes == "body" and trajectory.attitude_rad is None:
+            raise InputError(
+                f"has no yaw, pitch and roll, and sensor {shown(entry.name)} has axes body; "
+                "expected yaw_deg, pitch_deg and roll_deg",
+                path=source.place(entry.trajectory),
+                line=1,
+            )
+    sensor = Sensor(
         name=entry.name,
         position_m=entry.position_m,
         trajectory=trajectory,
@@ -183,7 +196,19 @@ def _read_sensor(source: Source, document: Document, entry: SensorEntry, frame: 
         correlation=entry.correlation,
         refraction=entry.refraction,
         platform_process_noise=entry.platform_process_noise,
+        attitude_rad=entry.attitude_rad,
+        unusual_attitude=entry.unusual_attitude,
     )
+    if entry.trajectory is not None and entry.axes == "body":
+        from geograph.attitude import check_attitude
+
+        try:
+            check_attitude(sensor, frame)
+        except InputError as error:
+            raise InputError(
+                error.reason, path=source.place(entry.trajectory), column=error.column
+            ) from None
+    return sensor
 
 
 def _read_trajectory(source: Source, name: str, frame: Frame) -> Trajectory:
@@ -213,9 +238,33 @@ def _read_trajectory(source: Source, name: str, frame: Frame) -> Trajectory:
     return Trajectory(table.numbers["time_s"], position, attitude)
 
 
-def _read_constraints(source: Source) -> Constraints | None:
+def _read_terrain(source: Source, document: Document, header: Header) -> Terrain | None:
+    entry = header.terrain
+    if entry is None:
+        return None
+    if not source.has(entry.file):
+        document.fail(
+            ("terrain",),
+            f"{shown(entry.file)} is not in the recording; expected the name of a GeoTIFF in its "
+            "folder",
+        )
+    from geograph.terrain import Terrain
+
+    return Terrain.from_file(
+        source.raster_location(entry.file),
+        frame=header.frame,
+        heights=entry.heights,
+        geoid_undulation_m=entry.geoid_undulation_m,
+        name=str(source.place(entry.file)),
+    )
+
+
+def _read_constraints(source: Source, terrain: Terrain | None) -> Constraints | None:
     name = find_table(source, "constraints")
-    return None if name is None else constraints_of(read_table(source, name, CONSTRAINT_COLUMNS))
+    if name is None:
+        return None
+    table = read_table(source, name, CONSTRAINT_COLUMNS)
+    return constraints_of(table, terrain=terrain is not None)
 
 
 def _read_truth(source: Source, span_s: tuple[float, float]) -> Truth | None:

@@ -39,6 +39,9 @@ class Source(Protocol):
     def read_bytes(self, name: str) -> bytes:
         """Return a file's content; raises InputError if it cannot be read."""
 
+    def raster_location(self, name: str) -> str:
+        """Return what GDAL opens to read a file by window."""
+
 
 class FolderSource:
     """A recording in a folder."""
@@ -65,6 +68,10 @@ class FolderSource:
     def read_bytes(self, name: str) -> bytes:
         """Return a file's content; raises InputError if it cannot be read."""
         return read_file(self.path / name)
+
+    def raster_location(self, name: str) -> str:
+        """Return what GDAL opens to read a file by window."""
+        return str((self.path / name).absolute())
 
 
 class ZipSource:
@@ -124,6 +131,10 @@ class ZipSource:
                     "make it again",
                     path=self.place(name),
                 ) from None
+
+    def raster_location(self, name: str) -> str:
+        """Return what GDAL opens to read a file by window."""
+        return f"/vsizip/{{{self.path.absolute()}}}/{self._root / name}"
 
     def _open(self) -> zipfile.ZipFile:
         try:

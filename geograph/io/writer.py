@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+import tempfile
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from geograph.io.messages import shown
 from geograph.io.reader import read
 from geograph.io.source import HEADER_NAME, numbered
 from geograph.io.table_columns import table_columns, trajectory_columns
+from geograph.io.terrain_file import save_terrain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,6 +88,11 @@ def write(
             raise InputError("is there already; name another or allow to overwrite", path=target)
         with replacing_file(target) as staging:
             _write_zip(staging, files)
+            if recording.terrain is not None:
+                with tempfile.TemporaryDirectory() as folder:
+                    raster = save_terrain(recording.terrain, Path(folder))
+                    with zipfile.ZipFile(staging, "a") as archive:
+                        archive.write(raster, raster.name)
             written = _read_back(staging, target)
     else:
         if not overwrite:
@@ -93,6 +100,8 @@ def write(
         with replacing_folder(target, markers=RECORDING_MARKERS, own=RECORDING_FILES) as staging:
             for name, content in files.items():
                 (staging / name).write_bytes(content)
+            if recording.terrain is not None:
+                save_terrain(recording.terrain, staging)
             written = _read_back(staging, target)
     return replace(written, name=target.stem if is_zip else target.resolve().name, path=target)
 

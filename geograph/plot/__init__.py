@@ -36,12 +36,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from geograph.likelihood import LikelihoodMap
     from geograph.results import Results
     from geograph.track import Track
 
 __all__ = [
     "PICTURES",
     "height",
+    "likelihood",
     "overview",
     "path",
     "residuals",
@@ -51,6 +53,26 @@ __all__ = [
     "side_view",
     "speed",
 ]
+
+
+def likelihood(track: Track, over: LikelihoodMap | None = None) -> Figure:
+    """Return a figure of an emitter's posterior over ground, with its contours and the ellipse.
+
+    Parameters
+    ----------
+    track
+        Of an emitter that stands still.
+    over
+        Its :meth:`geograph.Track.likelihood_map`; None: made here.
+
+    Raises
+    ------
+    InputError
+        If the object moves.
+    """
+    from geograph.plot._likelihood import likelihood_figure
+
+    return likelihood_figure(track, over)
 
 
 def path(track: Track | Results, ax: Axes | None = None, *, sensors: bool = True) -> Axes:

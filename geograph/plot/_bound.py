@@ -248,6 +248,8 @@ def draw_map(over: BoundMap, ax: Axes) -> None:
     if not over.observable.all():
         ax.set_facecolor("0.85")
         ax.fill([], [], color="0.85", label="not observable")
+    if over.recording.terrain is not None:
+        draw_ground(ax, over.position_m, over.frame, east, north)
     _draw_sensors(ax, over.sensor_plane_m(), ground.size)
     _label_plane(ax, over.center_m, over.frame, ground.name)
     half = 0.5 * (east[1] - east[0])
@@ -255,6 +257,32 @@ def draw_map(over: BoundMap, ax: Axes) -> None:
     ax.set_xlim(east[0] - half, east[-1] + half)
     ax.set_ylim(north[0] - half, north[-1] + half)
     ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.09), ncols=3, borderaxespad=0.0)
+
+
+def draw_ground(
+    ax: Axes,
+    position_m: NDArray[np.float64],
+    frame: Frame,
+    east: NDArray[np.float64],
+    north: NDArray[np.float64],
+) -> None:
+    """Draw thin contour lines of the ground.
+
+    Parameters
+    ----------
+    ax
+        Where.
+    position_m
+        Shape (b, a, 3): positions on the ground.
+    frame
+        Their frame.
+    east, north
+        Shapes (a,), (b,): columns and rows, in the axes' unit.
+    """
+    height = geodetic_from_ecef(position_m)[..., 2] if frame == "ecef" else position_m[..., 2]
+    if float(np.ptp(height)) > 1.0:
+        ax.contour(east, north, height, levels=12, colors="black", linewidths=0.4, alpha=0.5)
+        ax.plot([], [], color="black", linewidth=0.4, alpha=0.5, label="height of the ground")
 
 
 def _plain_ticks(axis: Axis) -> None:

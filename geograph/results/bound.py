@@ -175,6 +175,7 @@ def bound_facts(
         "epoch": None if recording.epoch is None else recording.epoch.isoformat(),
         "observable": bound.observable,
         "weakly_observed": bound.weakly_observed,
+        "directions": [dataclasses.asdict(direction) for direction in bound.directions],
         "evaluated_at": bound.evaluated_at,
         "left_out": bound.left_out,
         "process_noise_from": bound.process_noise_from,
