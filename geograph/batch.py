@@ -188,7 +188,7 @@ def smooth_job(
         recording = read(job.source)
         track = smooth(recording, raise_on_failure=False, **changes)
         results = from_track(track, command=command)
-        save(results, job.folder, pictures=pictures)
+        save(results, job.folder, pictures=pictures, solved=track)
     except InputError as error:
         return Outcome(job=job, kind="bad input", status="failed", message=str(error))
     except OSError as error:

@@ -136,6 +136,11 @@ def likelihood_map(track: Track, *, cells: int = 81) -> LikelihoodMap:
     for _ in range(_DOUBLINGS):
         east, north = (np.linspace(low[axis], high[axis], _COARSE) for axis in range(2))
         coarse, _ = density.over(east, north)
+        if not np.isfinite(coarse).any():
+            raise InputError(
+                "the posterior has no density about the estimate; expected an emitter that is "
+                "determined, on known ground"
+            )
         held = coarse > coarse.max() - _NOTHING
         edge = held[0].any() or held[-1].any() or held[:, 0].any() or held[:, -1].any()
         if not edge:

@@ -99,7 +99,8 @@ def vantage(problem: Problem, values: Values) -> Vantage | None:
     coordinates = ~bearings.bearings.isotropic | bearings.azimuth_only
     normal = _normals(problem, position)
     grazing = np.inf
-    if normal is not None:
+    # An azimuth alone sees a plane, which no ground can graze.
+    if normal is not None and not bearings.azimuth_only.any():
         grazing = float(np.arcsin(np.abs(np.einsum("nc,nc->n", normal, direction))).max())
     sigma = np.fmin(bearings.bearings.sigma_azimuth_rad, bearings.bearings.sigma_elevation_rad)
     return Vantage(

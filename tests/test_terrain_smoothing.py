@@ -589,3 +589,16 @@ def test_the_command_prints_every_place_that_fits(tmp_path, capsys):
     facts = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert len(facts["hypotheses"]) == 6
     assert facts["directions"][0]["sigma_m"] >= facts["directions"][-1]["sigma_m"]
+
+
+def test_results_have_a_picture_where_there_is_no_ellipse(tmp_path, monkeypatch):
+    from geograph.results import save
+    from geograph.results import write as writing
+
+    monkeypatch.setattr(writing, "_MAP_CELLS", 11)
+    _, _, track = wedge()
+    save(track, tmp_path / "out")
+    assert (tmp_path / "out" / "likelihood.png").stat().st_size > 10_000
+    # Again into the same folder, without pictures: none is left.
+    save(track, tmp_path / "out", pictures=False)
+    assert not (tmp_path / "out" / "likelihood.png").exists()

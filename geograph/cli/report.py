@@ -169,7 +169,9 @@ def _notes(results: Results) -> str:
     notes += _hypotheses(results)
     curved = (results.summary.get("gaussian") or {}).get("reason")
     if curved and results.static:
-        notes.append(f"not Gaussian: {curved}; its contours: geograph.smooth(...).likelihood_map()")
+        notes.append(
+            f"not Gaussian: {curved}; contours: likelihood.png, or likelihood_map() of the track"
+        )
     for key in ("flagged_sensors", "weakly_observed"):
         sentences = [str(sentence) for sentence in results.summary.get(key) or ()]
         notes += sentences[:_MOST_NOTES]

@@ -84,7 +84,7 @@ def smooth_one(source: Path, request: Request) -> int:
             print(f"geograph: {recording.name}: {error.status}: {error}", file=sys.stderr)
             return NOT_CONVERGED
         results = from_track(track, command=request.command)
-        save(results, request.output, pictures=request.pictures)
+        save(results, request.output, pictures=request.pictures, solved=track)
     print(results_text(results, request.output))
     return OK if results.status == "converged" else NOT_CONVERGED
 

@@ -11,9 +11,10 @@ import numpy as np
 
 from geograph.constants import SPEED_OF_LIGHT_M_S
 from geograph.errors import InputError
+from geograph.io.header_terrain import TerrainEntry, file_name, read_terrain_entry
 from geograph.io.messages import shown
 from geograph.io.tables import MAX_COORDINATE_M, MAX_VALUE
-from geograph.recording import Frame, HeightDatum, LossName, MotionName, SmoothSettings
+from geograph.recording import Frame, LossName, MotionName, SmoothSettings
 from geograph.sensors import SensorErrors
 
 if TYPE_CHECKING:
@@ -84,15 +85,6 @@ class SensorEntry:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TerrainEntry:
-    """The ground as the header has it: its file, and what its heights are above."""
-
-    file: str
-    heights: HeightDatum | None
-    geoid_undulation_m: float | None
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
 class Header:
     """What ``recording.toml`` says."""
 
@@ -127,38 +119,7 @@ def read_header(document: Document) -> Header:
             name: _sensor(document, name, entry, frame, speed) for name, entry in entries.items()
         },
         settings=_settings(document, root.get("smooth", {})),
-        terrain=_terrain(document, root, frame),
-    )
-
-
-def _terrain(document: Document, root: dict[str, Any], frame: Frame) -> TerrainEntry | None:
-    keys = [key for key in ("terrain_heights", "geoid_undulation_m") if key in root]
-    if "terrain" not in root:
-        if keys:
-            document.fail((keys[0],), f"{keys[0]} needs a terrain; name its GeoTIFF or remove it")
-        return None
-    if keys and frame == "local":
-        document.fail(
-            (keys[0],),
-            f"{keys[0]} is for the frame ecef; in a local frame the raster's heights are z; remove "
-            "it",
-        )
-    file = _file_name(document, ("terrain",), root["terrain"], (".tif", ".tiff"), "GeoTIFF")
-    heights = root.get("terrain_heights")
-    if heights is not None:
-        heights = document.choice(("terrain_heights",), heights, get_args(HeightDatum))
-    undulation = root.get("geoid_undulation_m")
-    if undulation is not None:
-        # The geoid is nowhere further from the ellipsoid.
-        undulation = document.number(("geoid_undulation_m",), undulation, low=-120.0, high=120.0)
-        if heights == "ellipsoid":
-            document.fail(
-                ("geoid_undulation_m",),
-                "geoid_undulation_m is of heights above the geoid, and terrain_heights is "
-                "ellipsoid; remove one of them",
-            )
-    return TerrainEntry(
-        file=file, heights=cast("HeightDatum | None", heights), geoid_undulation_m=undulation
+        terrain=read_terrain_entry(document, root, frame),
     )
 
 
@@ -248,7 +209,7 @@ def _sensor(
         trajectory=(
             None
             if trajectory is None
-            else _file_name(
+            else file_name(
                 document,
                 (*path, "trajectory"),
                 trajectory,
@@ -369,18 +330,6 @@ def _three(
         document.fail(path, f"is {shown(value)}; expected {what}")
     x, y, z = (document.number(path, entry, low=-limit, high=limit) for entry in value)
     return x, y, z
-
-
-def _file_name(
-    document: Document, path: KeyPath, value: object, suffixes: tuple[str, ...], what: str
-) -> str:
-    """Return the name of a file in the recording."""
-    name = document.text_of(path, value)
-    parts = name.split("/")
-    plain_path = all(part and part != ".." for part in parts) and "\\" not in name
-    if not plain_path or not name.isprintable() or not name.endswith(suffixes):
-        document.fail(path, f"is {shown(name)}; expected the name of a {what} in the recording")
-    return name
 
 
 def _errors(document: Document, path: KeyPath, value: object, speed_m_s: float) -> SensorErrors:

@@ -16,6 +16,9 @@ PICTURES = (
 )
 """Pictures of every result; without a velocity none of it, and none of a height that is given."""
 
+LIKELIHOOD_PICTURE = "likelihood.png"
+"""Picture of the posterior of an emitter at rest, where it is no ellipse."""
+
 PLATFORM_PICTURE = "platforms.png"
 """Picture of the platforms whose path is estimated, where there are any."""
 

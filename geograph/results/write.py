@@ -19,6 +19,7 @@ from geograph.errors import InputError
 from geograph.io.atomic import check_replaceable, replacing_folder
 from geograph.results import names
 from geograph.results.extract import as_results
+from geograph.track import Track
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
 
     from geograph.measurements import Truth
     from geograph.results.data import ErrorCurve, PlatformPath, Results
-    from geograph.track import Track
+
+_MAP_CELLS = 61
 
 
 def check_target(folder: Path) -> None:
@@ -41,7 +43,7 @@ def check_target(folder: Path) -> None:
         raise InputError(f"{above} is a file; expected a folder to write into", path=folder)
     check_replaceable(folder)
     present = sorted(entry.name for entry in folder.iterdir()) if folder.exists() else []
-    own = {*names.TABLES, *names.PICTURES, names.PLATFORM_PICTURE}
+    own = {*names.TABLES, *names.PICTURES, names.PLATFORM_PICTURE, names.LIKELIHOOD_PICTURE}
     strangers = [name for name in present if name not in own]
     if strangers:
         raise InputError(
@@ -51,7 +53,13 @@ def check_target(folder: Path) -> None:
         )
 
 
-def save(track: Track | Results, folder: Path | str, *, pictures: bool = True) -> None:
+def save(
+    track: Track | Results,
+    folder: Path | str,
+    *,
+    pictures: bool = True,
+    solved: Track | None = None,
+) -> None:
     """Write results into a folder, which holds the old ones whole or the new ones whole.
 
     Parameters
@@ -62,6 +70,9 @@ def save(track: Track | Results, folder: Path | str, *, pictures: bool = True) -
         Made if absent, replaced if it holds results.
     pictures
         Whether to draw the pictures too.
+    solved
+        The track that the results are of, if they are given: the posterior of an emitter at rest is
+        drawn from it, where it is no ellipse.
 
     Raises
     ------
@@ -69,6 +80,7 @@ def save(track: Track | Results, folder: Path | str, *, pictures: bool = True) -
         If the folder holds anything but results.
     """
     results, target = as_results(track), Path(folder)
+    solved = track if isinstance(track, Track) else solved
     check_target(target)
     with replacing_folder(target) as fresh:
         write_files(results, fresh)
@@ -76,6 +88,20 @@ def save(track: Track | Results, folder: Path | str, *, pictures: bool = True) -
             from geograph import plot
 
             plot.save_all(results, fresh)
+            if solved is not None and _no_ellipse(solved):
+                figure = plot.likelihood(solved, solved.likelihood_map(cells=_MAP_CELLS))
+                figure.savefig(fresh / names.LIKELIHOOD_PICTURE)
+
+
+def _no_ellipse(track: Track) -> bool:
+    """Tell whether an emitter at rest has a posterior that its covariance does not describe."""
+    return bool(
+        track.time_s.size == 1
+        and not track.problem.layout.walks
+        and not track.summary["gaussian"]["holds"]
+        # What is not determined at all has no contour on any map.
+        and (track.summary["gaussian"]["rise_at_one_sigma"] or track.summary["hypotheses"])
+    )
 
 
 def write_files(results: Results, folder: Path) -> None:
