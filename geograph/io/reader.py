@@ -13,7 +13,7 @@ from geograph.io.header import MIN_RADIUS_ECEF_M, Header, SensorEntry, read_head
 from geograph.io.measurement_tables import MEASUREMENT_COLUMNS, read_measurements
 from geograph.io.messages import expected_one_of, shown
 from geograph.io.sensor_columns import TIME
-from geograph.io.source import HEADER_NAME, Source, open_source
+from geograph.io.source import HEADER_NAME, FolderSource, Source, open_source
 from geograph.io.tables import (
     MAX_COORDINATE_M,
     MAX_TIME_S,
@@ -160,6 +160,17 @@ def _read_sensor(source: Source, document: Document, entry: SensorEntry, frame: 
         refraction=entry.refraction,
         platform_process_noise=entry.platform_process_noise,
     )
+
+
+def read_trajectory_table(path: Path) -> Trajectory:
+    """Read a trajectory in ECEF from a table of the recording format, wherever it stands.
+
+    Raises
+    ------
+    InputError
+        If it is missing or wrong.
+    """
+    return _read_trajectory(FolderSource(path.parent), path.name, "ecef")
 
 
 def _read_trajectory(source: Source, name: str, frame: Frame) -> Trajectory:
