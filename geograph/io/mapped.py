@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from datetime import UTC, date, datetime
 from decimal import Decimal, InvalidOperation
-from functools import reduce
-from operator import xor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +12,7 @@ import numpy as np
 
 from geograph.errors import InputError
 from geograph.geodesy import ecef_from_geodetic
+from geograph.io.delimited import Cells, check_columns, text_rows
 from geograph.io.instants import (
     SECOND_NS,
     clock_ns,
@@ -25,22 +23,20 @@ from geograph.io.instants import (
     utc_to_tai_ns,
 )
 from geograph.io.mapping import Quantity, TableMapping, read_mapping, wrong
-from geograph.io.messages import expected_one_of, plain, shown
+from geograph.io.messages import plain, shown
 from geograph.io.rows import Difference, ImportOptions, Reception, Row, Sighting
 from geograph.io.sightings import recording_of
-from geograph.io.source import decode, read_file
 from geograph.io.stations import Station
 from geograph.sensors import Sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from geograph.recording import Recording
 
 _UNIX = {"unix": 0, "unix_ms": 3, "unix_us": 6, "unix_ns": 9}
 # 1980-01-06T00:00:00 UTC, the origin of GPS time.
 _GPS_ORIGIN = parse_instant("1980-01-06T00:00:00")
-Cells = dict[str, str]
 
 
 def read_mapped(
@@ -68,7 +64,7 @@ def read_mapped(
     layout = read_mapping(mapping)
     reader = _Rows(layout)
     for file in map(Path, files):
-        for number, cells in _text_rows(file, layout):
+        for number, cells in text_rows(file, layout):
             reader.add(cells, file, number)
     return reader.recording(Path(files[0]), options)
 
@@ -97,7 +93,7 @@ def read_frame(
     layout = read_mapping(mapping)
     present = [str(name) for name in frame.columns]
     place = Path("frame")
-    _check_columns(layout, present, place, None)
+    check_columns(layout, present, place, None)
     columns = []
     for name in layout.columns:
         series = frame[name]
@@ -120,77 +116,6 @@ def _cell_text(value: Any) -> str:
     if isinstance(value, date):
         return f"{value.isoformat()}T00:00:00"
     return repr(value) if isinstance(value, float) else str(value)
-
-
-def _check_columns(
-    layout: TableMapping, present: Sequence[str], place: Path, line: int | None
-) -> None:
-    for name in layout.columns:
-        if present.count(name) != 1:
-            what = f"no column {shown(name)}" if name not in present else f"two columns {name!r}"
-            raise InputError(
-                f"{what}, which the mapping names; {expected_one_of(name, present)}; check the "
-                "mapping",
-                path=place,
-                line=line,
-                column=plain(name),
-            )
-
-
-def _text_rows(path: Path, layout: TableMapping) -> Iterator[tuple[int, Cells]]:
-    """Yield the rows that the mapping wants, with their lines."""
-    text = decode(read_file(path), path).replace("\r\n", "\n").replace("\r", "\n")
-    names: list[str] | None = None
-    for number, line in enumerate(text.split("\n"), start=1):
-        comment = layout.comment and line.lstrip().startswith(layout.comment)
-        if number <= layout.skip_lines or not line.strip() or comment:
-            continue
-        cells = _cells(line, layout, path, number)
-        if names is None and layout.header:
-            names = [cell.strip() for cell in cells]
-            _check_columns(layout, names, path, number)
-            continue
-        known = names if names is not None else [str(n) for n in range(1, len(cells) + 1)]
-        row = dict(zip(known, (cell.strip() for cell in cells), strict=False))
-        if any(row.get(name) not in values for name, values in layout.where):
-            continue
-        missing = [name for name in layout.columns if name not in row]
-        if missing:
-            raise wrong(
-                path,
-                number,
-                plain(missing[0]),
-                f"has {len(cells)} cells; expected one in this column",
-            )
-        yield number, row
-
-
-def _cells(line: str, layout: TableMapping, path: Path, number: int) -> list[str]:
-    if layout.checksum:
-        line = _unwrapped(line.strip(), path, number)
-    if layout.delimiter == "blank":
-        return line.split()
-    try:
-        return next(csv.reader([line], delimiter=layout.delimiter, strict=True))
-    except (csv.Error, TypeError, ValueError) as error:
-        raise InputError(
-            f"is not delimited by {layout.delimiter!r} ({error})", path=path, line=number
-        ) from None
-
-
-def _unwrapped(line: str, path: Path, number: int) -> str:
-    """Return a sentence of NMEA 0183 without its checksum, which must be right."""
-    body, star, given = line.partition("*")
-    start = body.find("$")
-    total = reduce(xor, (ord(letter) for letter in body[start + 1 :]), 0)
-    if start < 0 or not star or given.upper() != f"{total:02X}":
-        raise InputError(
-            f"ends in {shown(star + given)}; expected a sentence from $ to *{total:02X}, its "
-            "checksum; remove the line, or set checksum = false",
-            path=path,
-            line=number,
-        )
-    return body
 
 
 class _Rows:
