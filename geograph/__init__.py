@@ -16,6 +16,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from geograph import export as export
+    from geograph import io as io
     from geograph.bound_grid import BoundMap, bound_map
     from geograph.bounds import PathBound, bound
     from geograph.ellipsoids import Ellipsoids
@@ -142,7 +144,13 @@ _HOMES = {
 }
 
 
+_PACKAGES = ("export", "io")
+"""Packages whose functions are called by their full names, as in ``gg.export.write``."""
+
+
 def __getattr__(name: str) -> Any:
+    if name in _PACKAGES:
+        return import_module(f"{__name__}.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(_HOMES[name]), name)

@@ -62,7 +62,10 @@ def test_columns_are_those_of_the_format(tmp_path):
         "time_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,ax_m_s2,ay_m_s2,az_m_s2,"
         "cov_xx_m2,cov_xy_m2,cov_xz_m2,cov_yy_m2,cov_yz_m2,cov_zz_m2,"
         "latitude_deg,longitude_deg,height_m,semi_major_m,semi_middle_m,semi_minor_m,"
-        "speed_m_s,sigma_speed_m_s"
+        "speed_m_s,sigma_speed_m_s,"
+        "cov_x_vx_m2_s,cov_x_vy_m2_s,cov_x_vz_m2_s,cov_y_vx_m2_s,cov_y_vy_m2_s,cov_y_vz_m2_s,"
+        "cov_z_vx_m2_s,cov_z_vy_m2_s,cov_z_vz_m2_s,cov_vx_vx_m2_s2,cov_vx_vy_m2_s2,"
+        "cov_vx_vz_m2_s2,cov_vy_vy_m2_s2,cov_vy_vz_m2_s2,cov_vz_vz_m2_s2"
     )
     local = (tmp_path / "local" / names.TRACK).read_text().splitlines()[0].split(",")
     assert not {"latitude_deg", "longitude_deg", "height_m", "ax_m_s2"}.intersection(local)
@@ -206,7 +209,7 @@ def test_loading_names_file_line_and_column(folder):
         (names.TRACK, "x_m", "x", r"track\.csv:1, column x_m: column is missing"),
         (names.TRACK, "\n0.0,", "\n9.0,", r"track\.csv:3, column time_s: .* greater than in"),
         (names.TRACK, "\n0.0,", "\nnan,", r"track\.csv:2, column time_s: is nan; expected a fin"),
-        (names.TRACK, "\n0.0,", "\n", r"track\.csv:2: has 23 fields; expected 24"),
+        (names.TRACK, "\n0.0,", "\n", r"track\.csv:2: has 38 fields; expected 39"),
         (names.SENSORS, "sigma", "spread", r"sensors\.csv:1, column sigma: column is missing"),
         (names.TRUTH, "\n0.0,", "\ninf,", r"truth\.csv:2, column time_s: is inf"),
         (names.SUMMARY, '"frame": "ecef"', '"frame": "flat"', "column frame: is 'flat'"),

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from geograph.cli.bound_command import bound
+from geograph.cli.convert_command import convert
 from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotations
     Elimination,
     Loss,
@@ -143,57 +144,6 @@ def example(
 
 
 @app.command()
-def convert(
-    paths: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="IN... OUT",
-            help="Fireball files (GFE ECSV, one for each camera) or folders of them, or one "
-            "recording; then the folder or .zip to write, or the .jsonl file of its measurements "
-            "as a feed.",
-        ),
-    ],
-    *,
-    clock_offset: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="[CAMERA=]S",
-            help="Prior 1-sigma of clocks in seconds, of all cameras or of one; repeatable; "
-            "default: 1.",
-        ),
-    ] = None,
-    bias: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="[CAMERA=]DEG",
-            help="Prior 1-sigma of azimuth and elevation biases, degrees; default: 0.02.",
-        ),
-    ] = None,
-    sigma: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="[CAMERA=]DEG",
-            help="On-sky sigma of a direction, degrees; default: each camera's own scatter.",
-        ),
-    ] = None,
-    parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet tables.")] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace an older recording.")
-    ] = False,
-) -> None:
-    """Convert fireball files to a recording, or a recording to other tables or to a feed."""
-    from geograph.cli.run_convert import run_convert
-
-    run_convert(
-        paths,
-        {"clock_offset_s": clock_offset, "bias_deg": bias, "sigma_deg": sigma},
-        tables="parquet" if parquet else "csv",
-        overwrite=overwrite,
-    )
-    typer.echo(f"wrote {paths[-1]}")
-
-
-@app.command()
 def plot(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Results of geograph smooth.")],
 ) -> None:
@@ -234,3 +184,4 @@ def compare(
 
 app.command()(bound)
 app.command()(track)
+app.command()(convert)

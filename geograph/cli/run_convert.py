@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from geograph.io import ForeignOptions
     from geograph.io.writer import TableFormat
 
 
@@ -19,6 +20,7 @@ def run_convert(
     options: Mapping[str, Sequence[str] | None],
     *,
     tables: TableFormat,
+    foreign: ForeignOptions,
     overwrite: bool,
 ) -> None:
     """Convert all paths but the last into the last.
@@ -30,7 +32,7 @@ def run_convert(
     options
         Values by the names of :func:`geograph.io.convert`, as given: ``VALUE`` for all cameras or
         ``CAMERA=VALUE`` for one, which then has that of its own.
-    tables, overwrite
+    tables, foreign, overwrite
         As in :func:`geograph.io.convert`.
 
     Raises
@@ -44,7 +46,7 @@ def run_convert(
         _write_feed(paths, overwrite=overwrite)
         return
     given = {name: per_camera(name, texts) for name, texts in options.items() if texts}
-    convert(paths[:-1], paths[-1], tables=tables, overwrite=overwrite, **given)
+    convert(paths[:-1], paths[-1], tables=tables, foreign=foreign, overwrite=overwrite, **given)
 
 
 def _write_feed(paths: Sequence[Path], *, overwrite: bool) -> None:

@@ -119,14 +119,14 @@ def read_ecsv(
     sensors, tables = {}, []
     for index, camera in enumerate(cameras):
         time = (camera.time_ns - epoch_ns) / 1e9
-        given = _value(sigma_deg, camera.name, names, "sigma_deg")
+        given = option_value(sigma_deg, camera.name, names, "sigma_deg")
         sigma = np.radians(given) if given is not None else _scatter(camera, time)
-        bias = _value(bias_deg, camera.name, names, "bias_deg")
+        bias = option_value(bias_deg, camera.name, names, "bias_deg")
         if bias is None:
             bias = DEFAULT_BIAS_DEG
-        undulation = _value(geoid_height_m, camera.name, names, "geoid_height_m") or 0.0
+        undulation = option_value(geoid_height_m, camera.name, names, "geoid_height_m") or 0.0
         latitude, longitude, elevation = camera.geodetic
-        offset = _value(clock_offset_s, camera.name, names, "clock_offset_s")
+        offset = option_value(clock_offset_s, camera.name, names, "clock_offset_s")
         sensors[camera.name] = Sensor(
             name=camera.name,
             position_m=ecef_from_geodetic(latitude, longitude, elevation + undulation),
@@ -308,8 +308,8 @@ def _distinct(cameras: list[_Camera]) -> list[_Camera]:
     return renamed
 
 
-def _value(option: PerCamera | None, name: str, names: list[str], what: str) -> float | None:
-    """Return a camera's value of an option, None where it is not given."""
+def option_value(option: PerCamera | None, name: str, names: list[str], what: str) -> float | None:
+    """Return a camera's value of an option, None where it is not given; or InputError."""
     if not isinstance(option, Mapping):
         return None if option is None else _checked(option, what)
     for key in option:

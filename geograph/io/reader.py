@@ -14,7 +14,7 @@ from geograph.io.header import MIN_RADIUS_ECEF_M, Header, SensorEntry, read_head
 from geograph.io.measurement_tables import MEASUREMENT_COLUMNS, read_measurements
 from geograph.io.messages import shown
 from geograph.io.sensor_columns import TIME
-from geograph.io.source import HEADER_NAME, Source, open_source
+from geograph.io.source import HEADER_NAME, FolderSource, Source, open_source
 from geograph.io.tables import (
     MAX_COORDINATE_M,
     SUFFIXES,
@@ -209,6 +209,17 @@ def _read_sensor(source: Source, document: Document, entry: SensorEntry, frame: 
                 error.reason, path=source.place(entry.trajectory), column=error.column
             ) from None
     return sensor
+
+
+def read_trajectory_table(path: Path) -> Trajectory:
+    """Read a trajectory in ECEF from a table of the recording format, wherever it stands.
+
+    Raises
+    ------
+    InputError
+        If it is missing or wrong.
+    """
+    return _read_trajectory(FolderSource(path.parent), path.name, "ecef")
 
 
 def _read_trajectory(source: Source, name: str, frame: Frame) -> Trajectory:

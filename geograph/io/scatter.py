@@ -17,6 +17,9 @@ _DEGREE = 5
 _LEAST_TIMES = _DEGREE + 3
 _TIMES_PER_SEGMENT = 4
 _SEGMENTS_PER_SECOND = 2
+_TIMES_PER_LONG_SEGMENT = 10
+# Rounding of directions, a hundred times.
+_NOTHING_RAD = 1e-13
 
 
 def angular_scatter_rad(
@@ -59,7 +62,7 @@ def angular_scatter_rad(
     _, _, axes = np.linalg.svd(direction, full_matrices=False)
     across = np.arcsin(np.clip(direction @ axes[2], -1.0, 1.0))
     along = np.unwrap(np.arctan2(direction @ axes[1], direction @ axes[0]))
-    basis = _spline_basis(time)
+    basis = _spline_basis(time, _pass_segments(time))
     coefficients, *_ = np.linalg.lstsq(basis, along, rcond=None)
     residual = along - basis @ coefficients
     # A great circle has two parameters.
@@ -70,11 +73,54 @@ def angular_scatter_rad(
     return max(float(np.sqrt(np.mean(variances))), FLOOR_RAD)
 
 
-def _spline_basis(time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+def smooth_scatter_rad(
+    time_s: NDArray[np.float64],
+    azimuth_rad: NDArray[np.float64],
+    elevation_rad: NDArray[np.float64],
+) -> float | None:
+    """Return the on-sky scatter of one sensor's bearings about any smooth path, radians.
+
+    Unlike :func:`angular_scatter_rad` it does not take the path for straight: satellites and
+    aircraft do not follow great circles of a station's sky. It is the root mean square of what is
+    left, in the tangent plane, of a quintic spline through the directions with a knot for ten
+    times, corrected for its parameters.
+
+    Parameters
+    ----------
+    time_s
+        Shape (n,), in any order.
+    azimuth_rad, elevation_rad
+        Shape (n,), azimuth clockwise from north.
+
+    Returns
+    -------
+    float or None
+        None if fewer than eight different times leave too little beyond the fitted parameters, or
+        the directions do not scatter at all.
+    """
+    order = np.argsort(time_s, kind="stable")
+    time, direction = time_s[order], _directions(azimuth_rad[order], elevation_rad[order])
+    times = np.unique(time).size
+    if times < _LEAST_TIMES:
+        return None
+    basis = _spline_basis(time, max(times // _TIMES_PER_LONG_SEGMENT, 1))
+    coefficients, *_ = np.linalg.lstsq(basis, direction, rcond=None)
+    residual = direction - basis @ coefficients
+    residual -= np.sum(residual * direction, axis=1)[:, None] * direction
+    # Two coordinates on the sky, each with the spline's parameters.
+    scatter = float(np.sqrt(np.sum(residual**2) / (2 * (time.size - basis.shape[1]))))
+    return scatter if scatter > _NOTHING_RAD else None
+
+
+def _pass_segments(time_s: NDArray[np.float64]) -> int:
+    most = (np.unique(time_s).size - _DEGREE) // _TIMES_PER_SEGMENT
+    wanted = np.ceil(_SEGMENTS_PER_SECOND * (time_s[-1] - time_s[0]))
+    return int(np.clip(wanted, 1, max(most, 1)))
+
+
+def _spline_basis(time_s: NDArray[np.float64], segments: int) -> NDArray[np.float64]:
     """Return the values of the spline's basis functions, shape (n, degree + segments)."""
     low, high = float(time_s[0]), float(time_s[-1])
-    most = (np.unique(time_s).size - _DEGREE) // _TIMES_PER_SEGMENT
-    segments = int(np.clip(np.ceil(_SEGMENTS_PER_SECOND * (high - low)), 1, max(most, 1)))
     edges = np.linspace(low, high, segments + 1)
     knots = np.concatenate([np.full(_DEGREE, low), edges, np.full(_DEGREE, high)])
     return np.asarray(BSpline.design_matrix(time_s, knots, _DEGREE).toarray())

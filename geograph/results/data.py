@@ -216,6 +216,9 @@ class Results:
         Where the object really was, if the recording knew.
     summary
         What ``summary.json`` holds.
+    motion_covariance
+        Shape (k, 6, 6): of position and velocity together, SI units; None without a velocity, or
+        in results of versions that did not keep it.
     """
 
     name: str
@@ -235,6 +238,7 @@ class Results:
     residuals: ResidualTable
     truth: Truth | None
     summary: dict[str, Any]
+    motion_covariance: NDArray[np.float64] | None = None
 
     @property
     def speed_m_s(self) -> NDArray[np.float64] | None:

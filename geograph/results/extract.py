@@ -83,7 +83,16 @@ def from_track(track: Track, *, command: str | None = None) -> Results:
         residuals=_residual_table(track),
         truth=recording.truth,
         summary=_summary(track, command),
+        motion_covariance=_motion_covariance(track),
     )
+
+
+def _motion_covariance(track: Track) -> NDArray[np.float64] | None:
+    if track.order < 2:
+        return None
+    # Of either triangle, which differ by rounding, files keep the upper one.
+    upper = np.triu(track.covariance[:, :6, :6])
+    return np.asarray(upper + np.swapaxes(np.triu(upper, 1), 1, 2))
 
 
 def as_results(track: Track | Results) -> Results:

@@ -33,6 +33,14 @@ COVARIANCE = {
     "cov_yz_m2": (1, 2),
     "cov_zz_m2": (2, 2),
 }
+_STATE = ("x", "y", "z", "vx", "vy", "vz")
+MOTION_COVARIANCE = {
+    f"cov_{_STATE[row]}_{_STATE[column]}_{'m2_s' if row < 3 else 'm2_s2'}": (row, column)
+    for row in range(6)
+    for column in range(max(row, 3), 6)
+}
+"""Covariances of velocity, with the position and with itself."""
+
 GEODETIC = ("latitude_deg", "longitude_deg", "height_m")
 SEMI_AXES = ("semi_major_m", "semi_middle_m", "semi_minor_m")
 SPEED = ("speed_m_s", "sigma_speed_m_s")

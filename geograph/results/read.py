@@ -191,7 +191,21 @@ def load_track(path: Path) -> dict[str, Any]:
         "sigma_speed_m_s": table.numbers(names.SPEED[1]) if names.SPEED[1] in table else None,
         # Of a state that the data do not determine they may be infinite.
         "semi_axes_m": np.stack([table.numbers(name) for name in names.SEMI_AXES], axis=-1),
+        "motion_covariance": _motion_covariance(table, covariance),
     }
+
+
+def _motion_covariance(
+    table: Table, position_covariance: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    # Earlier versions did not write it.
+    if not all(name in table for name in names.MOTION_COVARIANCE):
+        return None
+    covariance = np.empty((position_covariance.shape[0], 6, 6))
+    covariance[:, :3, :3] = position_covariance
+    for name, (row, column) in names.MOTION_COVARIANCE.items():
+        covariance[:, row, column] = covariance[:, column, row] = table.numbers(name)
+    return covariance
 
 
 def _covariance(table: Table) -> NDArray[np.float64]:

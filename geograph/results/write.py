@@ -106,7 +106,7 @@ def _no_ellipse(track: Track) -> bool:
 
 def write_files(results: Results, folder: Path) -> None:
     """Write the tables and the summary of results into an existing folder."""
-    write_csv(folder / names.TRACK, _track_columns(results))
+    write_csv(folder / names.TRACK, track_columns(results))
     fields = ("sensor", "state", "unit", "estimate", "sigma", "prior_sigma")
     write_csv(folder / names.SENSORS, {f: [getattr(e, f) for e in results.errors] for f in fields})
     residuals = {name: column.tolist() for name, column in vars(results.residuals).items()}
@@ -159,7 +159,8 @@ def _spread(header: Sequence[str], values: NDArray[np.float64]) -> dict[str, Seq
     return {name: values[:, i].tolist() for i, name in enumerate(header)}
 
 
-def _track_columns(results: Results) -> dict[str, Sequence[Any]]:
+def track_columns(results: Results) -> dict[str, Sequence[Any]]:
+    """Return the columns of ``track.csv``, by name and in their order."""
     columns: dict[str, Sequence[Any]] = {"time_s": results.time_s.tolist()}
     columns |= _spread(names.POSITION, results.position_m)
     if results.velocity_m_s is not None:
@@ -174,6 +175,11 @@ def _track_columns(results: Results) -> dict[str, Sequence[Any]]:
     speed, sigma = results.speed_m_s, results.sigma_speed_m_s
     if speed is not None and sigma is not None:
         columns |= dict(zip(names.SPEED, (speed.tolist(), sigma.tolist()), strict=True))
+    if results.motion_covariance is not None:
+        columns |= {
+            name: results.motion_covariance[:, row, column].tolist()
+            for name, (row, column) in names.MOTION_COVARIANCE.items()
+        }
     return columns
 
 
