@@ -113,6 +113,8 @@ def sweep(
         rest = np.matmul(inverse, now[:d, d:], out=rests[k])
         inverse_roots[k] = inverse
         knot = now[d:, d:] - rest[:, :d].T @ rest
+        # Rounding that is not symmetric would grow over tens of thousands of knots.
+        knot[:, :d] = 0.5 * (knot[:, :d] + knot[:, :d].T)
         knots.append(knot)
     beyond = rests[:, :, d:]
     shares = blocks[:, 2 * d :, 2 * d :] - np.swapaxes(beyond, 1, 2) @ beyond

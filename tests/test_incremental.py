@@ -11,7 +11,7 @@ import pytest
 import geograph as gg
 from geograph.examples import write_example
 from geograph.incremental.curvature import TOLERANCE, limits
-from geograph.incremental.state import everything
+from geograph.incremental.review import everything
 from geograph.scenarios import low_orbit_pass
 from geograph.scenarios.radio_mixed import mixed
 

@@ -15,23 +15,15 @@ import numpy as np
 
 from geograph.constants import SPEED_OF_LIGHT_M_S
 from geograph.errors import GeographError, InputError, UpdateError
+from geograph.incremental.advance import advance
 from geograph.incremental.estimate import Estimate, Tracking
 from geograph.incremental.model import SpanError
+from geograph.incremental.remake import collect, finished, renew, restart
 from geograph.incremental.report import held_track, newest
+from geograph.incremental.review import check, look_over
 from geograph.incremental.rows import count, join, keys, read
 from geograph.incremental.start import NotStartedError
-from geograph.incremental.state import (
-    State,
-    advance,
-    check,
-    collect,
-    finished,
-    look_over,
-    renew,
-    restart,
-    row_names,
-    without_duplicates,
-)
+from geograph.incremental.state import State, row_names, without_duplicates
 from geograph.recording import Recording, SmoothSettings
 from geograph.threads import single_blas_thread
 

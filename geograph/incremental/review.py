@@ -1,0 +1,91 @@
+"""What is done from time to time: estimates brought up to date, outliers chosen, limits renewed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geograph.incremental.curvature import limits
+from geograph.incremental.judge import choice
+from geograph.incremental.state import State, mark
+
+if TYPE_CHECKING:
+    from geograph.incremental.model import Measured
+
+
+# Linearisations that follow one another at most.
+_ROUNDS = 8
+
+
+def check(state: State) -> None:
+    """Bring all estimates up to date, and linearise again what moved too far."""
+    model, chain = state.running
+    assert state.limits is not None
+    for _ in range(_ROUNDS):
+        chain.solve_all()
+        moved = state.limits.moved(chain, 0)
+        if not moved:
+            break
+        model.linearise(chain, moved)
+        chain.eliminate()
+    state.checked = len(chain.knots_s) + chain.gone
+
+
+def look_over(state: State) -> None:
+    """Weigh again what depends on how much there is, choose outliers, and renew the limits."""
+    model, chain = state.running
+    if state.limits is None:
+        state.limits = limits(model, chain, state.total_rows)
+    if _weights_changed(state):
+        _weigh_again(state)
+    check(state)
+    if state.robust:
+        _choose(state)
+    knots = len(chain.knots_s) + chain.gone
+    state.reviewed = knots
+    state.limits = limits(state.running[0], chain, state.total_rows)
+
+
+def _weights_changed(state: State) -> bool:
+    """Tell whether measurements weigh by how many there are."""
+    model, chain = state.running
+    correlated = any(sensor.correlation for sensor in model.prepared.sensors)
+    spread = bool(model.whole) and model.whole_s < chain.knots_s[-1] - model.since_s
+    return correlated or spread
+
+
+def _weigh_again(state: State) -> None:
+    model, chain = state.running
+    state.model = model.reaching(chain)
+    state.model.linearise(chain, range(len(chain.pieces)))
+    chain.eliminate()
+
+
+def _choose(state: State) -> None:
+    """Choose what counts as a batch does, until the choice stands."""
+    model, chain = state.running
+    for _ in range(_ROUNDS):
+        measured = everything(state)
+        admit, reject = choice(measured)
+        for part in measured:
+            # What does not count has now been asked about.
+            out = part.columns["ident"][~part.columns["kept"] & ~part.columns["judged"]]
+            still = set(out.tolist()) - admit
+            if still:
+                mark(state, still, kept=False, judged=True)
+        if not admit and not reject:
+            break
+        changed = mark(state, admit, kept=True, judged=False) if admit else set()
+        if reject:
+            changed |= mark(state, reject, kept=False, judged=True)
+        model.linearise(chain, sorted(changed))
+        chain.eliminate()
+        check(state)
+
+
+def everything(state: State) -> list[Measured]:
+    """Return all that is held, evaluated at the estimate."""
+    model, chain = state.running
+    path = model.motion.path(np.array(chain.knots_s))
+    return model.evaluate(state.rows(), path, chain.values(0, len(chain.knots_s) - 1), 0)
