@@ -111,7 +111,7 @@ def accumulate(
     """
     start, end = span_s
     count = int(np.ceil((end - start) / unit.sample_s)) + 1
-    time = start + unit.sample_s * np.arange(count)
+    time = np.asarray(start + unit.sample_s * np.arange(count), dtype=np.float64)
     gaps = rng.exponential(unit.calibration_s, int(10 + 4 * (end - start) / unit.calibration_s))
     calibration = start + np.cumsum(gaps)
     calibration = calibration[calibration < end]

@@ -108,7 +108,7 @@ class Kinematic:
 def triangulation(windows: Windows) -> PathEstimate:
     """Return the triangulated positions with their covariances."""
     position, covariance = triangulate(windows)
-    settled = np.isfinite(position).all(axis=1)
+    settled = np.asarray(np.isfinite(position).all(axis=1))
     return PathEstimate(windows.time_s, position, covariance, settled)
 
 

@@ -38,8 +38,9 @@ def nees(error_m: NDArray[np.float64], covariance_m2: NDArray[np.float64]) -> ND
     Infinite where a covariance is singular or not finite.
     """
     result = np.full(len(error_m), np.inf)
-    good = np.isfinite(covariance_m2).all(axis=(1, 2)) & np.isfinite(error_m).all(axis=1)
-    good[good] = np.linalg.eigvalsh(covariance_m2[good])[:, 0] > 0.0
+    finite = np.isfinite(covariance_m2).all(axis=(1, 2)) & np.isfinite(error_m).all(axis=1)
+    good = np.flatnonzero(finite)
+    good = good[np.linalg.eigvalsh(covariance_m2[good])[:, 0] > 0.0]
     solved = np.linalg.solve(covariance_m2[good], error_m[good][..., None])[..., 0]
     result[good] = np.einsum("ni,ni->n", error_m[good], solved)
     return result

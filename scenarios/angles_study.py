@@ -137,29 +137,30 @@ def _row(name: str, mine: Scores, baseline: Scores, published: Published) -> str
     converged = Figure(share, float(np.sqrt(share * (1.0 - share) / max(count - 1, 1))))
     cells = [name, _percent(converged, published.converged)]
     if not good.any():
-        return "| " + " | ".join([*cells, *["-"] * 7]) + " |"
+        return "| " + " | ".join([*cells, *["-"] * 8]) + " |"
     both = good & baseline.converged
     cells.append(f"{np.median(mine.rms_m[good]):.0f}")
     if name == BASELINE or not both.any():
-        cells += ["-", "-"]
+        cells += ["-", "-", "-"]
     else:
         gain = improvement(mine.rms_m[both], baseline.rms_m[both])
         cells += [_percent(gain.share, published.improved), _percent(gain.mean, published.gain)]
+        cells.append(f"{100 * gain.median:.1f}")
     own, kinematic = honesty(mine.nees[good]), honesty(mine.nees_kinematic[good])
     cells.append(_beside(own.anees.text(), published.anees))
-    cells.append(_beside(own.divergence.text(), published.divergence))
+    cells.append(_beside(own.divergence.text(3), published.divergence))
     cells.append(
         "-"
         if name == GRAPH
-        else _beside(kinematic.divergence.text(), published.divergence_kinematic)
+        else _beside(kinematic.divergence.text(3), published.divergence_kinematic)
     )
     cells.append(_percent(own.coverage))
     return "| " + " | ".join(cells) + " |"
 
 
 _HEADER = (
-    "| estimator | converged % | RMS m, median | better % | by % | ANEES | KL | "
-    "KL, kinematic | in 95 % ellipsoid, % |\n" + "| --- " * 9 + "|"
+    "| estimator | converged % | RMS m, median | better % | by %, mean | median | ANEES | KL | "
+    "KL, kinematic | in 95 % ellipsoid, % |\n" + "| --- " * 10 + "|"
 )
 
 

@@ -56,6 +56,13 @@ class Stages:
                 "stage and a time above 0"
             )
 
+    def draw_thrust(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw the constant force of each stage, shape (count, 3), uniform in the ball."""
+        direction = rng.standard_normal((self.count, 3))
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        length = rng.uniform(size=(self.count, 1)) ** (1.0 / 3.0)
+        return np.asarray(self.thrust_m_s2 * length * direction)
+
     def jerk_density(self, duration_s: float) -> float:
         """Return the white noise on the jerk that moves the acceleration as much, m/s^2.5.
 
@@ -135,9 +142,7 @@ def _draw(
     boundary = np.sort(rng.choice(np.arange(1, rows - 1), stages.count - 1, replace=False))
     every = max(round(stages.flutter_step_s / (time[1] - time[0])), 1)
     node = np.unique(np.concatenate([np.arange(0, rows, every), [rows - 1]]))
-    direction = rng.standard_normal((stages.count, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    thrust = stages.thrust_m_s2 * rng.uniform(size=(stages.count, 1)) ** (1.0 / 3.0) * direction
+    thrust = stages.draw_thrust(rng)
     flutter = stages.flutter_m_s2 * rng.standard_normal((node.size, 3))
     cuts = np.unique(np.concatenate([node, boundary]))
     state = np.empty((rows, 2, 3))
