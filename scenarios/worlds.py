@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from geograph.recording import Frame
+    from geograph.scenarios.accelerometer import AccumulatedBias
     from geograph.scenarios.observation import SeenAxes
     from geograph.scenarios.paths import Body
 
@@ -75,6 +76,8 @@ class Station:
         Prior standard deviations, from which its errors are drawn.
     correlation
         Correlation of its noise from one measurement to all others.
+    accumulated
+        Pointing errors that add to those which ``errors`` describe.
     table_step_s
         Step of the trajectory in the recording of a sensor that moves, seconds. At 2 s the cubic
         spline through a low orbit is good to 0.1 mm.
@@ -85,6 +88,7 @@ class Station:
     axes: SeenAxes
     errors: SensorErrors = field(default_factory=SensorErrors)
     correlation: float = 0.0
+    accumulated: AccumulatedBias | None = None
     table_step_s: float = 2.0
 
     def sensor(self, span_s: tuple[float, float]) -> Sensor:
@@ -239,10 +243,12 @@ def make_world(
         wrong = error_history(streams.walks, truths, time[rows] - time.min())
         errors[station.name] = truths
         tag[rows] += wrong.clock_s
+        held = station.accumulated
+        more = np.zeros((int(rows.sum()), 2)) if held is None else held.at(time[rows])
         azimuth[rows], elevation[rows] = _measure(
             streams.noise,
-            azimuth[rows] + wrong.azimuth_rad,
-            elevation[rows] + wrong.elevation_rad,
+            azimuth[rows] + wrong.azimuth_rad + more[:, 0],
+            elevation[rows] + wrong.elevation_rad + more[:, 1],
             noise=noise,
             station=station,
         )
