@@ -180,7 +180,7 @@ def test_convert_refuses_mixtures(tmp_path: Path) -> None:
         convert([tmp_path / "x.ecsv", tmp_path / "a"], tmp_path / "out")
     with pytest.raises(InputError, match="convert one at a time"):
         convert([tmp_path / "a", tmp_path / "a"], tmp_path / "out")
-    with pytest.raises(InputError, match="has its own sigmas"):
+    with pytest.raises(InputError, match="has its own sensors, sigmas and priors"):
         convert([tmp_path / "a"], tmp_path / "out", sigma_deg=0.1)
     assert not (tmp_path / "out").exists()
 

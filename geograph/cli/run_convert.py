@@ -20,7 +20,7 @@ def run_convert(
     options: Mapping[str, Sequence[str] | None],
     *,
     tables: TableFormat,
-    foreign: ForeignOptions,
+    foreign: ForeignOptions | None = None,
     overwrite: bool,
 ) -> None:
     """Convert all paths but the last into the last.
