@@ -81,6 +81,30 @@ def recursive_bound(scenario: Airborne, *, height_known: bool = False) -> NDArra
     return covariance
 
 
+def efficient_errors(scenario: Airborne, noise_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the errors, to first order in the noise, of an estimator that meets the bound.
+
+    The mean square of these is the bound after the last step exactly, so that how much worse an
+    estimator is can be told from the same noise, free of how it happened to be drawn.
+
+    Parameters
+    ----------
+    scenario
+        With a static emitter.
+    noise_rad
+        Shape (runs, 2, k, n): errors of azimuth and elevation.
+
+    Returns
+    -------
+    Shape (runs, 2): horizontal, after the last step, metres.
+    """
+    rows = angle_rows(scenario) / scenario.sigma_rad
+    if scenario.terrain_known:
+        rows = rows @ on_ground(scenario)
+    pull = np.einsum("knma,rmkn->ra", rows, noise_rad / scenario.sigma_rad)
+    return np.asarray((pull @ recursive_bound(scenario)[-1])[:, :2])
+
+
 def on_ground(scenario: Airborne) -> NDArray[np.float64]:
     """Return d(x, y, ground) / d(x, y) at the emitter, shape (3, 2)."""
     slope = scenario.terrain.gradient(*scenario.target_m[:2])

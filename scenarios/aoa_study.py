@@ -14,8 +14,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geograph.scenarios.airborne import RATE_HZ, SCENARIOS, Airborne, Runs, beyond, simulate
-from geograph.scenarios.aoa_bound import horizontal_m, recursive_bound, sequence_bound_m
+from geograph.scenarios.airborne import (
+    RATE_HZ,
+    SCENARIOS,
+    Airborne,
+    Runs,
+    beyond,
+    draw_noise,
+    simulate,
+)
+from geograph.scenarios.aoa_bound import (
+    efficient_errors,
+    horizontal_m,
+    recursive_bound,
+    sequence_bound_m,
+)
 from geograph.scenarios.aoa_estimators import Estimates, weighted_least_squares
 from geograph.scenarios.aoa_kalman import extended_kalman, unscented_kalman
 
@@ -204,7 +217,8 @@ def smoothed_tables(final: int, sequences: int, first: int, ground: KnownGround)
     """
     from geograph.scenarios.aoa_smoothed import log_steps, smooth_prefixes
 
-    lines = _head(["scenario", "last step", "bound", "ratio", "sequence", "best printed", "bound"])
+    titles = ["scenario", "last step", "bound", "ratio", "ratio, same noise"]
+    lines = _head([*titles, "sequence", "best printed", "bound"])
     shown = log_steps(SCENARIOS["1-10deg"].steps, PREFIXES)[:-1:2]
     consistency = _head(["scenario", *(f"{step / RATE_HZ:g} s" for step in shown)])
     for name, published in PUBLISHED.items():
@@ -222,6 +236,7 @@ def smoothed_tables(final: int, sequences: int, first: int, ground: KnownGround)
             f"{score.final_m:.1f}±{score.final_error_m:.1f}",
             f"{bound:.1f}",
             f"{score.final_m / bound:.3f}±{score.final_error_m / bound:.3f}",
+            _same_noise(scenario, range(first, first + final), last, bound),
             f"{score.sequence_m:.0f}±{score.sequence_error_m:.0f}",
             f"{published.best:.0f}",
             _number(sequence_bound_m(scenario)),
@@ -232,6 +247,21 @@ def smoothed_tables(final: int, sequences: int, first: int, ground: KnownGround)
             consistency.append(_consistency(several, shown))
             print(consistency[-1], file=sys.stderr, flush=True)
     return "\n".join([*lines, "", *consistency])
+
+
+def _same_noise(
+    scenario: Airborne, seeds: Sequence[int], square_m2: NDArray[np.float64], bound_m: float
+) -> str:
+    """Return the ratio to the bound with the chance of the draw taken out, and its error.
+
+    The mean of squares less those of the first-order errors on the same noise, which the bound is
+    the mean square of (a control variate).
+    """
+    noise = np.array([draw_noise(scenario, seed) for seed in seeds])
+    gain = square_m2 - np.sum(efficient_errors(scenario, noise) ** 2, axis=1)
+    ratio = np.sqrt(max(1.0 + gain.mean() / bound_m**2, 0.0))
+    error = gain.std() / np.sqrt(gain.size) / (2.0 * bound_m**2 * max(ratio, 1e-9))
+    return f"{ratio:.3f}±{error:.3f}"
 
 
 def _consistency(result: Smoothed, shown: NDArray[np.int64]) -> str:

@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import chi2
 
 from geograph.scenarios import aoa_study
-from geograph.scenarios.airborne import SCENARIOS, Airborne, Runs, beyond, simulate
-from geograph.scenarios.aoa_bound import horizontal_m, recursive_bound
+from geograph.scenarios.airborne import SCENARIOS, Airborne, Runs, beyond, draw_noise, simulate
+from geograph.scenarios.aoa_bound import efficient_errors, horizontal_m, recursive_bound
 from geograph.scenarios.aoa_estimators import LARGEST_RANGE_M, gauss_newton_start, within_reach
 from geograph.scenarios.aoa_kalman import extended_kalman
 from geograph.scenarios.aoa_model import AngleModel
@@ -137,6 +137,17 @@ def test_tables_are_printed(
     assert table[2].startswith("| 5-10deg | ")
     assert "| 84 | 72.0 |" in table[2]
     assert table[-1].startswith("| 5-10deg | ")
+
+
+@pytest.mark.parametrize("name", ["1-10deg", "3-5deg", "5-10deg"])
+def test_efficient_errors_have_the_bound_as_their_covariance(name: str) -> None:
+    """Linear in Gaussian noise: e' C^-1 e is chi-square exactly; false alarm 1e-4, two-sided."""
+    scenario = SCENARIOS[name]
+    error = efficient_errors(scenario, np.array([draw_noise(scenario, s) for s in range(400)]))
+    covariance = recursive_bound(scenario)[-1, :2, :2]
+    total = float(np.sum(error * np.linalg.solve(covariance, error.T).T))
+    low, high = chi2.ppf([5e-5, 1.0 - 5e-5], error.size)
+    assert low < total < high
 
 
 @pytest.mark.parametrize("bad", [["--runs", "1"], ["--seed", "-1"], ["--table", "all-of-them"]])
