@@ -254,14 +254,18 @@ def _explain(
         return None
     assert solution.elimination is not None
     spread = np.sqrt(np.diagonal(solution.elimination.marginals().constants))
-    parts = []
+    parts, told = [], []
     for column, state in enumerate(problem.states.constants):
         if state.sensor == index and state.name in error.states:
+            told.append(abs(solution.values.constants[column]) > spread[column])
             value = solution.values.constants[column] * state.sigma
             axis = state.name.rpartition("_")[2] if len(error.states) > 2 else state.name
             prefix = f"{axis.split('_')[0]} " if len(error.states) > 1 else ""
             parts.append(f"{prefix}{value:.6g} +- {spread[column] * state.sigma:.2g} {state.unit}")
     text = f"a {error.label} of {', '.join(parts)}"
+    if len(told) > 1 and not any(told):
+        # One range, say, is explained by places on a whole surface: none of them is told.
+        text = f"a {error.label}, of which no component is determined,"
     return _Explanation(index, before - solution.cost, text)
 
 

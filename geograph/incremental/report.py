@@ -93,7 +93,8 @@ class HeldFactorisation(Factorisation):
     def _noise(
         self, knots: NDArray[np.float64], constants: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        raise NotImplementedError
+        del knots, constants
+        raise TypeError("a held factorisation gives covariances alone; expected no step to solve")
 
     def half_log_determinant(self) -> float:
         """Return half the log determinant of the information."""
