@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geograph.scenarios.accelerometer import Accelerometer
 from geograph.scenarios.angles_scores import (
     AXES,
     Figure,
@@ -117,6 +118,18 @@ LIMITS: dict[str, dict[str, Any]] = {
     "20 outliers": {"outliers": 20},
 }
 """What BDNLO is said to diverge on, and noise, as changes of a world of Levy et al."""
+
+CHOICES: dict[str, dict[str, dict[str, Any]]] = {
+    "sprang": {
+        "resolution 1.2 urad/s2": {},
+        "resolution 4 urad/s2": {"accelerometer": Accelerometer(resolution_rad_s2=4e-6)},
+    },
+    "levy": {
+        "white noise 5 urad": {},
+        "white noise 20 urad": {"sigma_rad": 20e-6},
+    },
+}
+"""The two values that were chosen after the graph's coverage was seen, and what they replaced."""
 
 TIME_TAGS_S = (0.0, 1e-3, 10e-3, 50e-3)
 """Sprang's sweep of the error of time tags: limits of a uniform constant of each sensor."""
@@ -243,6 +256,17 @@ def limits_tables(
             yield f"{name}, {what}:\n\n{table}"
 
 
+def choices_tables(
+    seeds: range, workers: int, worlds: Sequence[str] = tuple(WORLDS)
+) -> Iterator[str]:
+    """Yield tables of the baseline and the graph with the chosen and the replaced values."""
+    for name in worlds:
+        for what, changes in CHOICES[name.partition("-")[0]].items():
+            world = variant(name, **changes)
+            table = world_table(world, seeds, (BASELINE, GRAPH), workers=workers)
+            yield f"{name}, {what}, {len(seeds)} trials from seed {seeds.start}:\n\n{table}"
+
+
 def time_tag_tables(
     seeds: range, workers: int, worlds: Sequence[str] = tuple(WORLDS)
 ) -> Iterator[str]:
@@ -259,6 +283,7 @@ TABLES: dict[str, Callable[[range, int, Sequence[str]], Iterator[str]]] = {
     "published": published_tables,
     "graph": graph_tables,
     "limits": limits_tables,
+    "choices": choices_tables,
     "time-tags": time_tag_tables,
 }
 
