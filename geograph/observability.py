@@ -126,17 +126,20 @@ def weak_directions(
         for direction in principal_directions(track, knot, limit)
     ]
     sentences += _unseen_misalignments(track)
-    bent = _bent_knot(track, distance) if curvature else None
+    bent = _bent_knots(track, distance) if curvature else []
     rise, curved = None, ""
-    if not unobservable and bent is not None:
-        rise = cost_rise(track, bent)
+    if not unobservable and bent:
+        rises = [cost_rise(track, knot) for knot in bent]
+        rise = max(rises)
         if rise > CURVED_RISE:
             curved = (
                 f"the posterior is curved: at one sigma the cost rises by {rise:.3g} "
                 "instead of 0.5, so that the ellipsoids are too small"
             )
-            sentences.append(f"{_sentence(track, bent, -1, 'there')}; {curved}")
-            unobservable = rise > NOT_GAUSSIAN_RISE
+            worst_bent = bent[rises.index(rise)]
+            sentences.append(f"{_sentence(track, worst_bent, -1, 'there')}; {curved}")
+            # An end that is badly seen does not make the whole path unobservable.
+            unobservable = rises[0] > NOT_GAUSSIAN_RISE
     elif unobservable:
         curved = "the position is not determined: where it ends is not a matter of linearisation"
     return WeakDirections(sentences, unobservable, directions, rise, curved)
@@ -164,20 +167,21 @@ def principal_directions(track: Track, knot: int, limit_m: float) -> list[Direct
     return found
 
 
-def _bent_knot(track: Track, distance_m: float) -> int | None:
-    """Return the knot whose ellipsoid is long enough to feel that bearings see along curves.
+def _bent_knots(track: Track, distance_m: float) -> list[int]:
+    """Return the knots whose ellipsoids are long enough to feel a curve, the typical one first.
 
     A move of s along an ellipsoid's longest axis, at a distance r, is off by up to s^2 / (2 r)
-    across it.
+    across it, for bearings see along curves. Ground bends more than lines of sight do, and one part
+    of a path over it more than another: there the worst knot is returned, too.
     """
     values = np.maximum(np.linalg.eigvalsh(track.position_covariance_m2), 0.0)
     bend = values[:, -1] / (2.0 * distance_m)
     share = bend / np.sqrt(np.maximum(values[:, 0], 1e-300))
     middle = int(np.argsort(share)[share.size // 2])
     if track.recording.terrain is not None:
-        # Ground bends more than lines of sight do.
-        return middle
-    return middle if share[middle] > _BEND_SHARE else None
+        longest = int(np.argmax(values[:, -1]))
+        return list(dict.fromkeys((middle, longest)))
+    return [middle] if share[middle] > _BEND_SHARE else []
 
 
 def cost_rise(track: Track, knot: int) -> float:
