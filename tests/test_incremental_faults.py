@@ -11,7 +11,7 @@ import pytest
 from test_incremental import small_pass
 
 import geograph as gg
-from geograph.families import BearingFamily
+from geograph.families import BearingFamily, bearings
 
 
 @pytest.fixture
@@ -146,3 +146,30 @@ def test_motion_by_name_and_names_of_rows():
     assert feeding.differences(smoother.track(), gg.smooth(recording))[0] < 0.1
     name = gg.RowName("bearings", "S1", 2.5, 7)
     assert str(name) == "bearings of S1 at 2.5 s, line 7"
+
+
+@pytest.mark.parametrize("error", [RuntimeError, ZeroDivisionError])
+@pytest.mark.parametrize("places", [(0,), (7,), (2, 3, 11)])
+def test_what_raises_before_the_start_is_refused_by_itself(monkeypatch, error, places):
+    """Rows come one by one; those that raise are refused at once, and the rest starts alone."""
+    recording = small_pass(1)
+    rows = list(feeding.parts(recording, every=1))
+    real = bearings.tangent_residual
+    poison = 12.3456789
+
+    def raising(sight, azimuth_rad, *arguments, **options):
+        if (np.abs(azimuth_rad - poison) < 1e-2).any():
+            raise error("inside a factor")
+        return real(sight, azimuth_rad, *arguments, **options)
+
+    monkeypatch.setattr(bearings, "tangent_residual", raising)
+    clean, faulty = (gg.IncrementalSmoother.of(recording) for _ in range(2))
+    for k, row in enumerate(rows[:60]):
+        clean.update(row)
+        if k in places:
+            bad = [dataclasses.replace(t, azimuth_rad=np.array([poison])) for t in row]
+            with pytest.raises(gg.UpdateError, match="inside a factor"):
+                faulty.update(bad)
+        faulty.update(row)
+    assert faulty.estimate.status is gg.Tracking.TRACKING
+    same(picture(faulty), picture(clean))
