@@ -12,6 +12,10 @@ from test_incremental import small_pass
 
 import geograph as gg
 from geograph.families import BearingFamily, bearings
+from geograph.incremental.rows import TABLES, read
+from geograph.incremental.trial import try_rows
+from geograph.prepare import prepare
+from geograph.scenarios.radio_mixed import mixed
 
 
 @pytest.fixture
@@ -173,3 +177,31 @@ def test_what_raises_before_the_start_is_refused_by_itself(monkeypatch, error, p
         faulty.update(row)
     assert faulty.estimate.status is gg.Tracking.TRACKING
     same(picture(faulty), picture(clean))
+
+
+def test_every_kind_is_tried_without_a_path(monkeypatch):
+    """Rows of each kind pass alone, and do not where their evaluation raises."""
+    recording = mixed(1)
+    arrivals = gg.Arrivals(
+        emission=np.zeros(3, dtype=np.int64),
+        sensor=np.arange(3),
+        toa_s=np.array([5.0, 5.00001, 5.00002]),
+        sigma_s=np.full(3, 1e-7),
+        line=np.arange(3),
+    )
+    template = dataclasses.replace(recording, **dict.fromkeys(recording.tables))
+    tables = {**recording.tables, "arrivals": arrivals}
+    assert set(tables) == set(TABLES)
+    for kind, table in tables.items():
+        rows = read(table, sensors=len(recording.sensors), first=0, emission={})
+        try_rows(template, rows)
+        only = dataclasses.replace(template, **{kind: table})
+        (family,) = prepare(only).sensor_families()
+
+        def broken(*_arguments, **_options):
+            raise RuntimeError("inside a factor")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(type(family), "evaluate", broken)
+            with pytest.raises(RuntimeError, match="inside a factor"):
+                try_rows(template, rows)

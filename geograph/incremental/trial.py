@@ -49,12 +49,13 @@ def try_rows(template: Recording, rows: Rows) -> None:
     except InputError:
         # About several rows, or sensors: the start says it, with all that was collected.
         return
-    times = np.concatenate([columns["time_s"] for columns in tables.values()])
+    families = prepared.sensor_families()
+    times = np.concatenate([family.time_s for family in families])
     knots = np.array([times.min() - 1.0, times.max() + 1.0])
     path = Motion("constant-velocity", Density.of(1.0), template.frame).path(knots)
     states = prepared.states
-    first = np.concatenate([columns["sensor"] for columns in tables.values()])[:1]
-    at = prepared.geometry.poses(first, times[:1]).position_m[0] + _AWAY_M
+    first = families[0].sensor[:1]
+    at = prepared.geometry.poses(first, families[0].time_s[:1]).position_m[0] + _AWAY_M
     values = Values(
         np.repeat([[*at, 0.0, 0.0, 0.0]], 2, axis=0),
         np.zeros((2, states.chains)),
@@ -62,5 +63,5 @@ def try_rows(template: Recording, rows: Rows) -> None:
     )
     with np.errstate(all="ignore"):
         state = path.at_state(values.path, jacobian=True)
-        for family in prepared.sensor_families():
+        for family in families:
             family.evaluate(path, state, values, jacobian=True)
