@@ -15,6 +15,7 @@ from geograph.vantage import vantage
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.eliminate import LinearSystem
     from geograph.track import Track
 
 # A position is named weak when its sigma exceeds this share of its distance, and the path is
@@ -129,7 +130,7 @@ def weak_directions(
     bent = _bent_knots(track, distance) if curvature else []
     rise, curved = None, ""
     if not unobservable and bent:
-        rises = [cost_rise(track, knot) for knot in bent]
+        rises = cost_rises(track, bent)
         rise = max(rises)
         if rise > CURVED_RISE:
             curved = (
@@ -184,8 +185,8 @@ def _bent_knots(track: Track, distance_m: float) -> list[int]:
     return [middle] if share[middle] > _BEND_SHARE else []
 
 
-def cost_rise(track: Track, knot: int) -> float:
-    """Return the rise of the cost at one sigma along a knot's weakest direction, at most.
+def cost_rises(track: Track, knots: list[int]) -> list[float]:
+    """Return the rise of the cost at one sigma along the weakest direction of each knot, at most.
 
     All other unknowns move with it as the covariance says. For a Gaussian posterior it is one half
     on both sides (the likelihood ratio against the Wald statistic; D. M. Bates, D. G. Watts,
@@ -195,14 +196,18 @@ def cost_rise(track: Track, knot: int) -> float:
     ----------
     track
         With a problem that can be factorised at its estimate.
-    knot
-        Index of the knot.
+    knots
+        Indices of the knots.
     """
+    system = track.problem.linearise(track.values)
+    return [_cost_rise(track, system, knot) for knot in knots]
+
+
+def _cost_rise(track: Track, system: LinearSystem, knot: int) -> float:
     problem, values = track.problem, track.values
     _, vectors = np.linalg.eigh(track.position_covariance_m2[knot])
     direction = np.zeros(problem.layout.knot)
     direction[:3] = vectors[:, -1] * problem.path_scale[:3]
-    system = problem.linearise(values)
     move = response(system, knot, direction)
     sigma = float(np.sqrt(direction @ move.knots[knot]))
     costs = [

@@ -8,6 +8,7 @@ import logging
 import feeding
 import numpy as np
 import pytest
+from feed_faults import POISON_DEG, raise_for_poison
 from test_incremental import small_pass
 
 import geograph as gg
@@ -158,20 +159,14 @@ def test_what_raises_before_the_start_is_refused_by_itself(monkeypatch, error, p
     """Rows come one by one; those that raise are refused at once, and the rest starts alone."""
     recording = small_pass(1)
     rows = list(feeding.parts(recording, every=1))
-    real = bearings.tangent_residual
-    poison = 12.3456789
-
-    def raising(sight, azimuth_rad, *arguments, **options):
-        if (np.abs(azimuth_rad - poison) < 1e-2).any():
-            raise error("inside a factor")
-        return real(sight, azimuth_rad, *arguments, **options)
-
+    raising = raise_for_poison(bearings.tangent_residual, error)
+    poison = np.radians([POISON_DEG])
     monkeypatch.setattr(bearings, "tangent_residual", raising)
     clean, faulty = (gg.IncrementalSmoother.of(recording) for _ in range(2))
     for k, row in enumerate(rows[:60]):
         clean.update(row)
         if k in places:
-            bad = [dataclasses.replace(t, azimuth_rad=np.array([poison])) for t in row]
+            bad = [dataclasses.replace(t, azimuth_rad=poison) for t in row]
             with pytest.raises(gg.UpdateError, match="inside a factor"):
                 faulty.update(bad)
         faulty.update(row)
