@@ -93,9 +93,19 @@ def _ignored_shares(motion: Motion, spacing_s: float, resolution: Resolution) ->
     ]
 
 
-def automatic_spacing(motion: Motion, states: SensorStates, resolution: Resolution) -> float:
-    """Return the widest spacing at which interpolation is negligible, seconds."""
-    spacing = resolution.span_s / _FEWEST_INTERVALS
+def automatic_spacing(
+    motion: Motion, states: SensorStates, resolution: Resolution, *, ends: bool = True
+) -> float:
+    """Return the widest spacing at which interpolation is negligible, seconds.
+
+    Parameters
+    ----------
+    motion, states, resolution
+        What moves, and what is measured of it.
+    ends
+        Whether the measurements are all there will be: then there are some intervals at least.
+    """
+    spacing = resolution.span_s / _FEWEST_INTERVALS if ends else float("inf")
     shares = [] if motion.static else _ignored_shares(motion, 1.0, resolution)
     for i, share in enumerate(shares):
         if share > 0.0:

@@ -116,3 +116,11 @@ def test_one_bearing_alone_tracks_nothing_and_says_what_is_missing(
     out, err = capsys.readouterr()
     assert json.loads(out.splitlines()[-1])["status"] == "collecting"
     assert err.startswith("geograph: small: collecting after 1 updates with 1 measurements")
+
+
+def test_the_motion_is_taken_by_its_name(recording, tmp_path):
+    """The recording's own is constant-velocity; another has other components."""
+    words = [recording, "--motion", "constant-acceleration", "--process-noise", "0.5"]
+    found = last_line(words, tmp_path / "out")
+    assert found["status"] == "tracking"
+    assert np.isfinite([found[name] for name in ("vx_m_s", "ax_m_s2")]).all()

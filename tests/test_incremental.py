@@ -14,6 +14,8 @@ from geograph.incremental.curvature import TOLERANCE, limits
 from geograph.incremental.review import everything
 from geograph.scenarios import low_orbit_pass
 from geograph.scenarios.radio_mixed import mixed
+from geograph.scenarios.radio_orbit import formation
+from geograph.scenarios.radio_platforms import platforms
 
 # The goals of the incremental smoother: posterior sigmas, and relative error of a covariance.
 NEAR, ALIKE, NEWEST = 0.1, 0.02, 0.2
@@ -248,3 +250,57 @@ def test_everything_is_evaluated_once():
     smoother = feeding.feed(gg.IncrementalSmoother.of(recording), recording, every=12)
     held = np.concatenate([part.columns["line"] for part in everything(smoother._state)])
     assert sorted(held.tolist()) == sorted(recording.bearings.line.tolist())
+
+
+def standing(walk=0.0):
+    """150 bearings of 1 mrad by two sensors of an object that stands still."""
+    rng = np.random.default_rng(1)
+    places = np.array([[0.0, 0.0, 0.0], [5000.0, 0.0, 0.0]])
+    errors = gg.SensorErrors(azimuth_bias_rad=2e-3, azimuth_instability_rad_sqrt_s=walk)
+    sensors = {
+        f"S{i}": gg.Sensor(name=f"S{i}", position_m=place, axes="xyz", errors=errors)
+        for i, place in enumerate(places)
+    }
+    size, sigma = 150, 1e-3
+    sensor = np.arange(size) % 2
+    way = np.array([2000.0, 6000.0, 1500.0]) - places[sensor]
+    elevation = np.arctan2(way[:, 2], np.hypot(way[:, 0], way[:, 1]))
+    azimuth = np.arctan2(way[:, 1], way[:, 0])
+    table = gg.Bearings(
+        time_s=np.arange(size) * 1.0,
+        sensor=sensor,
+        azimuth_rad=azimuth + sigma * rng.normal(size=size) / np.cos(elevation),
+        elevation_rad=elevation + sigma * rng.normal(size=size),
+        sigma_azimuth_rad=np.full(size, sigma),
+        sigma_elevation_rad=np.full(size, sigma),
+        isotropic=np.ones(size, dtype=bool),
+        line=np.arange(size),
+    )
+    return gg.Recording(
+        name="standing",
+        frame="local",
+        sensors=sensors,
+        bearings=table,
+        settings=gg.SmoothSettings(motion="static", loss="none"),
+        propagation_speed_m_s=np.inf,
+    )
+
+
+@pytest.mark.parametrize(
+    "make",
+    [standing, lambda: standing(1e-5), lambda: platforms(3), lambda: formation(1)],
+    ids=["bearings", "walks", "bursts of signals", "from orbit"],
+)
+@pytest.mark.parametrize("lag", [None, 40.0])
+def test_what_stands_still_equals_the_batch_row_by_row(make, lag):
+    recording = make()
+    batch = gg.smooth(recording)
+    smoother = feeding.feed(gg.IncrementalSmoother.of(recording, lag=lag), recording, every=1)
+    estimate = smoother.estimate
+    assert feeding.newest_sigmas(estimate, batch) < (NEAR if lag is None else NEWEST)
+    # Knots are for what changes, not for every row.
+    assert estimate.knots < 20
+    if lag is None:
+        sigmas, relative = feeding.differences(smoother.track(), batch)
+        assert sigmas < NEAR
+        assert relative < ALIKE

@@ -134,6 +134,8 @@ def test_wrong_settings_are_refused():
         gg.IncrementalSmoother(sensors, lag=-1.0)
     with pytest.raises(gg.InputError, match="unknown engine 'x'"):
         gg.IncrementalSmoother(sensors, engine="x")
+    with pytest.raises(gg.InputError, match="no process noise"):
+        gg.IncrementalSmoother(sensors, motion="static", engine="isam2")
     with pytest.raises(gg.InputError, match="unknown setting"):
         gg.IncrementalSmoother(sensors, pace=1)
 

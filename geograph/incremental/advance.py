@@ -109,7 +109,11 @@ def _due(state: State) -> bool:
     contradicted = state.robust and len(state.out) > max(3.0, _CONTRADICTED * state.total)
     if contradicted and state.total >= _PATIENCE * state.started_with:
         return True
-    return (automatic or len(state.attempts) > 1) and state.total >= 2 * state.started_with
+    # Of a burst of signals, nothing is known of how often there will be some: of a moving object,
+    # the path does not begin before that is known.
+    paced = model.motion.static and model.layout.walks > 0 and state.settings.spacing_s is None
+    again = automatic or paced or len(state.attempts) > 1
+    return again and state.total >= 2 * state.started_with
 
 
 def _use(state: State, touched: set[int], new: set[int]) -> None:

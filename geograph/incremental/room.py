@@ -26,6 +26,9 @@ _CLOSE = 0.1
 
 _REACH = 8
 
+# Rows in an interval of an object that stands still.
+_FULL = 64
+
 
 def emission_times(model: Model, chain: Chain, kind: str, columns: Columns) -> NDArray[np.float64]:
     """Return about when signals were emitted, shape (n,), good enough to place knots."""
@@ -98,7 +101,7 @@ def make_room(model: Model, chain: Chain, times_s: NDArray[np.float64]) -> set[i
 def _extend(model: Model, chain: Chain, times: NDArray[np.float64], spacing: float) -> set[float]:
     """Move the last knot and append others, until the last time is reached."""
     changed: set[float] = set()
-    if times[0] - chain.knots_s[-2] <= spacing:
+    if times[0] - chain.knots_s[-2] <= spacing and not _full(model, chain):
         within = times[times - chain.knots_s[-2] <= spacing]
         _move_last(model, chain, float(within[-1]))
         changed.add(chain.knots_s[-2])
@@ -114,6 +117,15 @@ def _extend(model: Model, chain: Chain, times: NDArray[np.float64], spacing: flo
     return changed
 
 
+def _full(model: Model, chain: Chain) -> bool:
+    """Tell whether the last interval holds as much as one should of an object that stands still.
+
+    Such an object needs no knots; but an update costs what the last interval holds.
+    """
+    rows = chain.pieces[-1].rows.values()
+    return model.motion.static and sum(columns["ident"].size for columns in rows) >= _FULL
+
+
 def _predicted(
     model: Model, chain: Chain, time_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -127,10 +139,19 @@ def _predicted(
     return path, matrix[0] @ chain.chains[-1]
 
 
+def _reference(model: Model, chain: Chain, path: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return where the linear system of a new knot is written: at its estimate.
+
+    Nothing drives an object that stands still, and there is no noise to take up a difference
+    between the references of two knots: all have the same.
+    """
+    return chain.reference_path[0] if model.motion.static else path
+
+
 def _move_last(model: Model, chain: Chain, time_s: float) -> None:
     path, chains = _predicted(model, chain, time_s)
     chain.knots_s[-1] = time_s
-    chain.path[-1] = chain.reference_path[-1] = path
+    chain.path[-1], chain.reference_path[-1] = path, _reference(model, chain, path)
     chain.chains[-1] = chain.reference_chains[-1] = chains
 
 
@@ -138,7 +159,7 @@ def _append(model: Model, chain: Chain, time_s: float) -> None:
     path, chains = _predicted(model, chain, time_s)
     chain.knots_s.append(time_s)
     chain.path.append(path)
-    chain.reference_path.append(path)
+    chain.reference_path.append(_reference(model, chain, path))
     chain.chains.append(chains)
     chain.reference_chains.append(chains)
     chain.pieces.append(empty_piece(model))
@@ -154,7 +175,7 @@ def _divide(model: Model, chain: Chain, k: int, time_s: float) -> None:
     chain.knots_s.insert(k + 1, time_s)
     for held, value in (
         (chain.path, path),
-        (chain.reference_path, path),
+        (chain.reference_path, _reference(model, chain, path)),
         (chain.chains, chains),
         (chain.reference_chains, chains),
     ):

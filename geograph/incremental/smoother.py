@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from geograph.incremental.motion import MotionSpec
     from geograph.incremental.rows import Rows
     from geograph.measurements import Constraints, Measurements
-    from geograph.recording import Frame
+    from geograph.recording import Frame, MotionName
     from geograph.sensors import Sensor
     from geograph.terrain import Terrain
     from geograph.track import Track
@@ -54,8 +54,8 @@ class IncrementalSmoother:
     sensors
         By name; their order is that of the sensor indices in the tables.
     motion
-        Motion model with its noise, for example ``ConstantAcceleration(10.0)``; None: that of
-        ``settings``.
+        Motion model with its noise, for example ``ConstantAcceleration(10.0)``, or its name, with
+        the noise of ``settings``; None: that of ``settings``.
     frame, epoch, propagation_speed_m_s, propagation_sigma_m_s
         As of a :class:`geograph.Recording`.
     terrain
@@ -79,7 +79,7 @@ class IncrementalSmoother:
         self,
         sensors: Mapping[str, Sensor],
         *,
-        motion: MotionSpec | None = None,
+        motion: MotionSpec | MotionName | None = None,
         frame: Frame = "ecef",
         epoch: datetime | None = None,
         propagation_speed_m_s: float = SPEED_OF_LIGHT_M_S,
@@ -91,13 +91,21 @@ class IncrementalSmoother:
         **changes: Any,
     ) -> None:
         chosen = (settings or SmoothSettings()).replace(**changes)
-        if motion is not None:
+        if isinstance(motion, str):
+            chosen = chosen.replace(motion=motion)
+        elif motion is not None:
             chosen = chosen.replace(**motion.settings())
         if lag is not None and not (np.isfinite(lag) and lag > 0.0):
             raise InputError(f"lag is {lag}; expected seconds above 0, or None", column="lag")
         if engine not in ("structured", "isam2"):
             raise InputError(
                 f"unknown engine {engine!r}; expected structured or isam2", column="engine"
+            )
+        if engine == "isam2" and chosen.motion == "static":
+            raise InputError(
+                "engine is isam2, and an object that stands still has no process noise, which "
+                "GTSAM cannot whiten; expected engine structured",
+                column="engine",
             )
         template = Recording(
             name="feed",

@@ -131,8 +131,9 @@ def begin(
         own = np.isin(columns["ident"], out)
         rows = rows | {kind: columns | {"kept": ~own, "judged": own}}
     problem = smoother.problem
+    # How long a feed has run says nothing of an object that stands still.
     spacing = settings.spacing_s or automatic_spacing(
-        problem.motion, problem.states, smoother._resolution
+        problem.motion, problem.states, smoother._resolution, ends=not problem.motion.static
     )
     model = make_model(template, smoother, rows, whole, spacing_s=spacing)
     values = _mapped(smoother, model)
@@ -399,12 +400,15 @@ def stretched(
     """Return knots that reach from ``low_s`` to ``high_s``, and the estimate carried on to them."""
     held = np.array(chain.knots_s)
     values = chain.values(0, held.size - 1)
+    if model.motion.static:
+        # One place, of which old knots hold older estimates.
+        values = replace(values, path=np.repeat(values.path[-1:], held.size, axis=0))
     parts = [held]
     if low_s < held[0]:
-        count = int(np.ceil((held[0] - low_s) / model.spacing_s))
+        count = max(int(np.ceil((held[0] - low_s) / model.spacing_s)), 1)
         parts.insert(0, np.linspace(low_s, held[0], count + 1)[:-1])
     if high_s > held[-1]:
-        count = int(np.ceil((high_s - held[-1]) / model.spacing_s))
+        count = max(int(np.ceil((high_s - held[-1]) / model.spacing_s)), 1)
         parts.append(np.linspace(held[-1], high_s, count + 1)[1:])
     knots = np.concatenate(parts)
     path = model.motion.read(model.motion.path(held), values.path, knots)
