@@ -11,6 +11,7 @@ JOBS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := demo-output
+KERNELS := geograph/kernels/_compiled.c
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
 # The matrices are small, and tests run in parallel: threads would only wait for each other.
@@ -41,6 +42,7 @@ docs: $(VENV)/.docs
 	$(BIN)/mkdocs build --strict --config-file .mkdocs.yml
 
 clean:
+	rm -f geograph/kernels/*.so
 	rm -rf $(VENV) $(DEMO) bench-output build dist site htmlcov *.egg-info .coverage* .mypy_cache .ruff_cache \
 		.pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -54,14 +56,14 @@ $(VENV)/pyvenv.cfg:
 	$(PYTHON) -m venv $(VENV)
 
 # Stamps: a second run installs nothing.
-$(VENV)/.demo: $(VENV)/pyvenv.cfg pyproject.toml
+$(VENV)/.demo: $(VENV)/pyvenv.cfg pyproject.toml $(KERNELS)
 	$(PIP) --editable .
 	@touch $@
 
-$(VENV)/.test: $(VENV)/pyvenv.cfg pyproject.toml
+$(VENV)/.test: $(VENV)/pyvenv.cfg pyproject.toml $(KERNELS)
 	$(PIP) --editable '.[test]'
 	@touch $@
 
-$(VENV)/.docs: $(VENV)/pyvenv.cfg pyproject.toml
+$(VENV)/.docs: $(VENV)/pyvenv.cfg pyproject.toml $(KERNELS)
 	$(PIP) --editable '.[docs]'
 	@touch $@

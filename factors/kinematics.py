@@ -13,6 +13,7 @@ white noise).
 
 from __future__ import annotations
 
+from functools import cache
 from math import factorial
 from typing import TYPE_CHECKING
 
@@ -64,6 +65,18 @@ def noise_covariance(order: int, step_s: ArrayLike) -> NDArray[np.float64]:
     return matrix
 
 
+@cache
+def unit_noise_square_root(order: int) -> NDArray[np.float64]:
+    """Return the lower Cholesky factor of a unit step's noise, shape (m, m), not to be changed.
+
+    Parameters
+    ----------
+    order
+        Number of blocks m, 1 to 3.
+    """
+    return np.asarray(np.linalg.cholesky(noise_covariance(order, 1.0)))
+
+
 def noise_square_root(order: int, step_s: ArrayLike) -> NDArray[np.float64]:
     """Return the lower Cholesky factors of :func:`noise_covariance`, shape (..., m, m).
 
@@ -77,7 +90,7 @@ def noise_square_root(order: int, step_s: ArrayLike) -> NDArray[np.float64]:
         Time steps dt >= 0, any shape, seconds.
     """
     step = np.asarray(step_s, dtype=np.float64)
-    unit = np.linalg.cholesky(noise_covariance(order, 1.0))
+    unit = unit_noise_square_root(order)
     powers = order - 0.5 - np.arange(order)
     return np.asarray(step[..., None, None] ** powers[:, None] * unit)
 
@@ -98,6 +111,22 @@ def _hermite_coefficients(order: int) -> NDArray[np.float64]:
 
 
 _HERMITE = {order: _hermite_coefficients(order) for order in (1, 2, 3)}
+
+
+def hermite_coefficients(order: int) -> NDArray[np.float64]:
+    """Return the coefficients of :func:`interpolation_weights`, shape (2m, 2m), not to be changed.
+
+    Parameters
+    ----------
+    order
+        Number of blocks m, 1 to 3.
+
+    Returns
+    -------
+    coefficients
+        Row = weight of a unit step, column = power of the share of the interval that has passed.
+    """
+    return _HERMITE[order]
 
 
 def interpolation_weights(

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.linalg import blas
 
 from geograph.common import project
+from geograph.kernels import compiled, flat, indices
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -162,6 +163,9 @@ class BlockSum:
         root_weight
             Shape (n,): square roots of the loss's weights, or None for ones.
         """
+        if compiled is not None and found.common is None:
+            self._add_compiled(total, found, root_weight)
+            return
         self._plan(found)
         rows, width = found.residual.shape[1], self.layout.width
         for part in self._passes:
@@ -170,6 +174,38 @@ class BlockSum:
                 own = dense[first * rows : end * rows].T
                 # Transposed, so that BLAS adds to the block itself, which is symmetric.
                 blas.dgemm(1.0, own, own, 1.0, total[interval].T, trans_b=True, overwrite_c=True)
+
+    def _add_compiled(
+        self, total: NDArray[np.float64], found: Evaluation, root_weight: NDArray[np.float64] | None
+    ) -> None:
+        """Do what :meth:`add` does, in compiled code, without laying out the rows."""
+        layout = self.layout
+        count, rows = found.residual.shape
+        compiled.add_blocks(
+            total.shape[0],
+            layout.path,
+            layout.walks,
+            layout.constants,
+            int(layout.chained),
+            count,
+            rows,
+            found.constant_row.size,
+            found.walk_row.size,
+            total,
+            flat(found.residual),
+            indices(found.interval),
+            flat(found.by_knots),
+            self._knots_scale[0],
+            indices(found.constant_row),
+            indices(found.constant_column),
+            flat(found.by_constants),
+            indices(found.walk_row),
+            indices(found.walk_column),
+            flat(found.walk_before),
+            flat(found.walk_after),
+            flat(found.by_walks),
+            flat(root_weight),
+        )
 
     def _fill(
         self, part: _Pass, found: Evaluation, root_weight: NDArray[np.float64] | None

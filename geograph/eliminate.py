@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import lapack
 
-from geograph.sweep import Marginals, NotPositiveDefiniteError, chain_marginals, sweep
+from geograph.sweep import Marginals, NotPositiveDefiniteError, chain_marginals, substitute, sweep
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -150,17 +150,12 @@ class Factorisation(ABC):
         d = self.system.knot_size
         count = self.system.knots - 1
         last, _ = lapack.dpotrs(self._final_root, -self._final_gradient, lower=1)
-        following, constants = last[:d], last[d:]
-        knots = np.empty((count + 1, d))
-        noise = np.empty((count, d))
-        knots[count] = following
+        constants = last[d:]
         if count:
-            known = np.append(constants, 1.0)
-            offset = self._back[:, :, d:] @ known
-            for k in range(count - 1, -1, -1):
-                following = self._back[k, :, :d] @ following + offset[k]
-                knots[k] = following
+            knots = substitute(self._back, last[:d], constants)
             noise = self._noise(knots, constants)
+        else:
+            knots, noise = last[None, :d], np.empty((0, d))
         return Step(knots, constants, self._decrease(knots, constants, noise))
 
     def _decrease(

@@ -124,7 +124,8 @@ class SensorGeometry:
         axes = self._axes[sensor]
         velocity = np.zeros_like(position)
         rate: NDArray[np.float64] | None = None
-        for index in np.flatnonzero(self._moving & np.isin(np.arange(self._moving.size), sensor)):
+        moving = np.unique(sensor[self._moving[sensor]]) if self._movers else ()
+        for index in moving:
             rows = np.flatnonzero(sensor == index)
             mover, sensor_axes = self._movers[int(index)], self.sensors[int(index)].axes
             position[rows] = mover.position_at(time_s[rows])

@@ -24,7 +24,9 @@ from geograph.factors.kinematics import (
     spatial_square_root,
     spatial_square_root_derivative,
     transition,
+    unit_noise_square_root,
 )
+from geograph.kernels import compiled, flat
 from geograph.path import BallisticPath, KinematicPath, Order, Path
 
 if TYPE_CHECKING:
@@ -109,6 +111,23 @@ class Transitions:
     noise_root: NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False)
+class LinearTransitions:
+    """All transitions between knots as the elimination takes them; scaled.
+
+    Attributes
+    ----------
+    inverse, noise_root
+        Shape (K - 1, 3m, 3m): F^-1 and L.
+    residual
+        Shape (K - 1, 3m): w.
+    """
+
+    inverse: NDArray[np.float64]
+    noise_root: NDArray[np.float64]
+    residual: NDArray[np.float64]
+
+
 class Motion:
     """A motion model with its noise.
 
@@ -178,7 +197,7 @@ class Motion:
             if outside.any():
                 step = time_s[outside] - knots[end]
                 start = np.broadcast_to(state[end], (step.size, state.shape[1]))
-                result[outside] = self.predict(start, step)[0]
+                result[outside] = self.carried(start, step)
         return result
 
     def predict(
@@ -197,7 +216,16 @@ class Motion:
             return propagate(state, step_s, self.frame)
         eye = np.broadcast_to(np.eye(3), (step_s.size, 3, 3))
         matrix = kron_stack(transition(self.order, step_s), eye)
-        return np.matmul(matrix, state[:, :, None])[:, :, 0], matrix
+        return self.carried(state, step_s), matrix
+
+    def carried(
+        self, state: NDArray[np.float64], step_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return f(x) alone, shape (n, 3m); see :meth:`predict`."""
+        if self.ballistic:
+            return propagate(state, step_s, self.frame)[0]
+        blocks = state.reshape(step_s.size, self.order, 3)
+        return np.asarray(np.matmul(transition(self.order, step_s), blocks).reshape(state.shape))
 
     def noise(self, state: NDArray[np.float64], step_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance that the noise adds over a step, shape (n, 3m, 3m), SI units."""
@@ -242,9 +270,78 @@ class Motion:
             matrix[:, :, 3:6] -= root @ turning
         return Transitions(residual, matrix, root)
 
+    def linear(
+        self, state: NDArray[np.float64], steps_s: NDArray[np.float64], scale: NDArray[np.float64]
+    ) -> LinearTransitions:
+        """Return what an elimination needs of all transitions, scaled.
+
+        Parameters
+        ----------
+        state, steps_s
+            As of :meth:`transitions`.
+        scale
+            Shape (3m,): scales of the path's components, SI.
+        """
+        count, size = steps_s.size, scale.size
+        if self._compiles:
+            found = LinearTransitions(
+                np.zeros((count, size, size)),
+                np.zeros((count, size, size)),
+                np.empty((count, size)),
+            )
+            self._run(state, steps_s, scale, found.inverse, found.noise_root, found.residual)
+            return found
+        plain = self.transitions(state, steps_s)
+        return LinearTransitions(
+            inverse_stack(plain.transition * scale / scale[:, None]),
+            plain.noise_root / scale[:, None],
+            plain.residual,
+        )
+
+    def residual(
+        self, state: NDArray[np.float64], steps_s: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the whitened residuals of all transitions, shape (K - 1, 3m)."""
+        if not self._compiles:
+            return self.transitions(state, steps_s).residual
+        found = np.empty((steps_s.size, 3 * self.order))
+        self._run(state, steps_s, np.ones(3 * self.order), None, None, found)
+        return found
+
+    @property
+    def _compiles(self) -> bool:
+        """Whether compiled code knows this motion."""
+        return compiled is not None and self.constant and not self.static
+
+    def _run(
+        self,
+        state: NDArray[np.float64],
+        steps_s: NDArray[np.float64],
+        scale: NDArray[np.float64],
+        *results: NDArray[np.float64] | None,
+    ) -> None:
+        compiled.kinematics(
+            steps_s.size,
+            self.order,
+            unit_noise_square_root(self.order),
+            *map(flat, (self.density.axes, scale, steps_s, state)),
+            *results,
+        )
+
     def cost(self, state: NDArray[np.float64], steps_s: NDArray[np.float64]) -> float:
         """Return half the sum of squared whitened residuals of all transitions."""
-        return 0.5 * float(np.sum(self.transitions(state, steps_s).residual ** 2))
+        return 0.5 * float(np.sum(self.residual(state, steps_s) ** 2))
+
+
+def inverse_stack(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return inverses of a stack of matrices; not numbers where one is singular.
+
+    The solver takes such a system for one that is not positive definite, and damps its step.
+    """
+    try:
+        return np.asarray(np.linalg.inv(matrices))
+    except np.linalg.LinAlgError:
+        return np.full_like(matrices, np.nan)
 
 
 def kron_stack(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:

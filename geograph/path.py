@@ -97,6 +97,11 @@ class PathState(ABC):
         velocity = np.matmul(place.velocity_weights[:, None, :], basis)[:, 0]
         return position, velocity
 
+    @property
+    def basis(self) -> NDArray[np.float64]:
+        """Shape (intervals, w, 3): what the weights of a place multiply."""
+        return self._basis
+
     @abstractmethod
     def chain(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -127,11 +128,15 @@ class Prepared:
 
     def _position_noise(self, sensor: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return white position errors; a platform's are those of its fixes."""
+        return self._position_noise_m[sensor]
+
+    @cached_property
+    def _position_noise_m(self) -> NDArray[np.float64]:
         noise = [
             0.0 if sensor.platform_process_noise is not None else sensor.errors.position_noise_m
             for sensor in self.sensors
         ]
-        return np.array(noise)[sensor]
+        return np.array(noise)
 
     def fix_times(self) -> NDArray[np.float64]:
         """Return the times of the platforms' fixes that are used, shape (n,)."""
@@ -253,7 +258,10 @@ def _span(recording: Recording) -> float:
 
 def without_refraction(bearings: Bearings, sensors: tuple[Sensor, ...]) -> Bearings:
     """Return bearings with mean refraction taken off the sensors that ask for it."""
-    bent = np.array([sensor.refraction == "standard" for sensor in sensors])[bearings.sensor]
+    refracted = [sensor.refraction == "standard" for sensor in sensors]
+    if not any(refracted):
+        return bearings
+    bent = np.array(refracted)[bearings.sensor]
     if not bent.any():
         return bearings
     elevation = bearings.elevation_rad.copy()

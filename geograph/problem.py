@@ -16,6 +16,7 @@ from geograph.blocks import BlockSum, ColumnLayout
 from geograph.common import settled
 from geograph.eliminate import LinearSystem, Step
 from geograph.losses import Loss
+from geograph.motion import inverse_stack
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -214,7 +215,9 @@ class Problem:
         if self.knots_s.size == 1:
             return np.zeros((0, self.layout.knot))
         if path_residual is None:
-            path_residual = self.motion.transitions(values.path, self.steps_s).residual
+            path_residual = self.motion.residual(values.path, self.steps_s)
+        if not values.walks.shape[1]:
+            return path_residual
         return np.concatenate([path_residual, chain_noise(values.walks, *self._chains)], axis=1)
 
     def linearise(self, values: Values) -> LinearSystem:
@@ -265,17 +268,16 @@ class Problem:
         count, d, m = self.knots_s.size - 1, self.layout.knot, self.layout.path
         if not count:
             return np.zeros((0, d, d)), np.zeros((0, d, d)), np.zeros((0, d))
-        found = self.motion.transitions(values.path, self.steps_s)
-        residual = self._noise_residual(values, found.residual)
         if self._constant_transitions is not None:
-            return *self._constant_transitions, residual
+            return *self._constant_transitions, self._noise_residual(values)
+        found = self.motion.linear(values.path, self.steps_s, self.path_scale)
+        residual = self._noise_residual(values, found.residual)
         inverse = np.zeros((count, d, d))
         root = np.zeros((count, d, d))
-        scale = self.path_scale
-        inverse[:, :m, :m] = _inverse(found.transition * scale / scale[:, None])
-        root[:, :m, :m] = found.noise_root / scale[:, None]
+        inverse[:, :m, :m] = found.inverse
+        root[:, :m, :m] = found.noise_root
         matrix, noise = self._chains
-        inverse[:, m:, m:] = _inverse(matrix)
+        inverse[:, m:, m:] = inverse_stack(matrix)
         root[:, m:, m:] = noise
         if self.motion.constant:
             self._constant_transitions = inverse, root
@@ -314,14 +316,3 @@ def chain_noise(
     # A platform without noise keeps to its line; whatever the gap, it is rounding.
     solvable = root + np.where(quiet, 1.0, 0.0)[:, :, None] * np.eye(root.shape[1])
     return np.where(quiet, 0.0, np.linalg.solve(solvable, gap[:, :, None])[:, :, 0])
-
-
-def _inverse(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return inverses of a stack of matrices; not numbers where one is singular.
-
-    The solver takes such a system for one that is not positive definite, and damps its step.
-    """
-    try:
-        return np.asarray(np.linalg.inv(matrices))
-    except np.linalg.LinAlgError:
-        return np.full_like(matrices, np.nan)

@@ -305,6 +305,10 @@ class ChainShare:
     after: NDArray[np.float64]
 
 
+_NO_INDEX: Final = np.empty(0, dtype=np.int64)
+_NONE: Final = _Entries(_NO_INDEX, _NO_INDEX, _NO_INDEX, np.empty(0))
+
+
 class SensorErrorTerms:
     """What the states add to the errors of a fixed set of measurements.
 
@@ -334,10 +338,15 @@ class SensorErrorTerms:
             (states.bias_column, np.ones_like(since)),
             (states.drift_column, since),
         ):
+            if not (columns >= 0).any():
+                continue
             row, channel = np.nonzero(columns[sensor] >= 0)
             column = columns[sensor[row], channel]
             constants.append((row, channel, column, basis[row] * states.sigma[column]))
-        self.constants = _joined(constants)
+        self.constants = _joined(constants) if constants else _NONE
+        if not states.chains:
+            self.chains, self._walks, self._term = _NONE, 0, _NONE.row
+            return
         row, channel = np.nonzero(states.walk_column[sensor] >= 0)
         column = states.walk_column[sensor[row], channel]
         parts: list[tuple[NDArray[Any], ...]] = [(row, channel, column, chain_scale[column])]

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import lapack
 
+from geograph.kernels import compiled, flat
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -49,8 +51,8 @@ class Sweep:
     Attributes
     ----------
     knots
-        For each interval the rows of the knot after it over (knot, constants, gradient), each
-        shape (d, d + s + 1): all that it and the intervals before say of that knot.
+        Shape (n, d, d + s + 1): of each interval the rows of the knot after it over (knot,
+        constants, gradient): all that it and the intervals before say of that knot.
     shares
         Shape (n, s + 1, s + 1): what each interval adds to the rows of (constants, gradient).
     inverse_roots
@@ -61,7 +63,7 @@ class Sweep:
         Shapes (n, d, d + s + 1), (n, d, d): x[k] = back (x[k+1], constants, 1) + spread v.
     """
 
-    knots: list[NDArray[np.float64]]
+    knots: NDArray[np.float64]
     shares: NDArray[np.float64]
     inverse_roots: NDArray[np.float64]
     gain: NDArray[np.float64]
@@ -91,6 +93,8 @@ def sweep(
     NotPositiveDefiniteError
         If the information of a noise is not positive definite.
     """
+    if compiled is not None:
+        return _compiled_sweep(knot, blocks, inverse_transition, noise_root, noise_residual)
     d = knot.shape[0]
     # x[k] = A x[k+1] - B w.
     scaled_root = inverse_transition @ noise_root
@@ -100,7 +104,7 @@ def sweep(
     inverse_roots = np.empty((count, d, d))
     rests = np.empty((count, d, width - d))
     before = np.empty((d, width))
-    knots = []
+    knots = np.empty((count, d, width - d))
     for k, (row, by) in enumerate(zip(rows, turn, strict=True)):
         # The knot's information, with x[k] written through w and x[k+1].
         np.matmul(knot[:, :d], by, out=before[:, : 2 * d])
@@ -112,10 +116,9 @@ def sweep(
         inverse, _ = lapack.dtrtri(root, lower=1)
         rest = np.matmul(inverse, now[:d, d:], out=rests[k])
         inverse_roots[k] = inverse
-        knot = now[d:, d:] - rest[:, :d].T @ rest
+        knot = np.subtract(now[d:, d:], rest[:, :d].T @ rest, out=knots[k])
         # Rounding that is not symmetric would grow over tens of thousands of knots.
         knot[:, :d] = 0.5 * (knot[:, :d] + knot[:, :d].T)
-        knots.append(knot)
     beyond = rests[:, :, d:]
     shares = blocks[:, 2 * d :, 2 * d :] - np.swapaxes(beyond, 1, 2) @ beyond
     gain = np.swapaxes(inverse_roots, 1, 2) @ rests
@@ -123,6 +126,31 @@ def sweep(
     back[:, :, :d] += inverse_transition
     spread = scaled_root @ np.swapaxes(inverse_roots, 1, 2)
     return Sweep(knots, shares, inverse_roots, gain, back, spread)
+
+
+def _compiled_sweep(
+    knot: NDArray[np.float64],
+    blocks: NDArray[np.float64],
+    inverse_transition: NDArray[np.float64],
+    noise_root: NDArray[np.float64],
+    noise_residual: NDArray[np.float64],
+) -> Sweep:
+    """Return what :func:`sweep` does, from compiled code."""
+    d, width = knot.shape
+    count, rest = blocks.shape[0], width - d
+    found = Sweep(
+        knots=np.empty((count, d, width)),
+        shares=np.empty((count, rest, rest)),
+        inverse_roots=np.empty((count, d, d)),
+        gain=np.empty((count, d, width)),
+        back=np.empty((count, d, width)),
+        spread=np.empty((count, d, d)),
+    )
+    given = (knot, blocks, inverse_transition, noise_root, noise_residual)
+    results = (found.knots, found.shares, found.inverse_roots, found.gain, found.back, found.spread)
+    if not compiled.sweep(count, d, rest, *map(flat, given), *results):
+        raise NotPositiveDefiniteError
+    return found
 
 
 def _turned_rows(
@@ -141,6 +169,32 @@ def _turned_rows(
     rows[:, index, index] += 1.0
     rows[:, index, -1] += noise_residual
     return rows
+
+
+def substitute(
+    back: NDArray[np.float64], last: NDArray[np.float64], constants: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the increments of all knots, shape (n + 1, d), from those of the last.
+
+    Parameters
+    ----------
+    back
+        Shape (n, d, d + s + 1), as in :class:`Sweep`.
+    last, constants
+        Shapes (d,), (s,): increments of the last knot and of the constants.
+    """
+    count, d = back.shape[0], last.size
+    knots = np.empty((count + 1, d))
+    knots[count] = following = last
+    if count and compiled is not None:
+        compiled.substitute(count, d, back.shape[2] - d, flat(back), flat(constants), knots)
+    elif count:
+        offset = back[:, :, d:] @ np.append(constants, 1.0)
+        by_next = np.ascontiguousarray(back[:, :, :d])
+        for k in range(count - 1, -1, -1):
+            following = by_next[k] @ following + offset[k]
+            knots[k] = following
+    return knots
 
 
 def chain_marginals(
@@ -167,7 +221,10 @@ def chain_marginals(
     slope = np.empty((count + 1, d, constants.shape[0]))
     known[count] = by_knot.T @ by_knot
     slope[count] = -by_knot.T @ final_root[d:, :d].T
-    if count:
+    if count and compiled is not None:
+        width = back.shape[2]
+        compiled.marginals(count, d, width - d, flat(back), flat(spread), known, slope)
+    elif count:
         scatter = spread @ np.swapaxes(spread, 1, 2)
         for k in range(count - 1, -1, -1):
             by_next = back[k, :, :d]

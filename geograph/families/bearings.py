@@ -8,9 +8,12 @@ import numpy as np
 
 from geograph.factors.attitude import Turned, misaligned
 from geograph.factors.bearing import coordinate_residual, predict_bearing, tangent_residual
+from geograph.factors.kinematics import hermite_coefficients
 from geograph.factors.light_time import Sight, light_time_correction, sight
 from geograph.families.base import Evaluation, Report, SensorFamily, Values
 from geograph.frames import frame_spin_rad_s
+from geograph.kernels import compiled, flat, indices
+from geograph.path import KinematicPathState
 from geograph.states import (
     AZIMUTH,
     CHANNELS,
@@ -110,6 +113,7 @@ class BearingFamily(SensorFamily):
         self._walk_time = bearings.time_s.copy()
         self._poses: SensorPoses | None = None
         self._place: tuple[Path, Place] | None = None
+        self._emitted = self.time_s
         self.path_noise_m = np.zeros(len(bearings))
         self.path_noise_m_s = np.zeros(len(bearings))
         self._white = self._whitening(np.full(len(bearings), np.inf))
@@ -174,14 +178,9 @@ class BearingFamily(SensorFamily):
             interval = path.locate(self._walk_time).interval
         errors = self._errors(path, values, interval)
         received = self.bearings.time_s - errors[:, CLOCK]
-        poses = self._poses
-        if poses is None or self._clocked:
-            poses = self.geometry.poses(self.bearings.sensor, received)
-            if not self._clocked:
-                self._poses = poses
+        poses = self._posed(received)
         position = poses.position_m + errors[:, POSITION : POSITION + 3]
-        speed = self.speed_m_s + float(errors[0, SPEED]) if len(self) else self.speed_m_s
-        enough = _LIGHT_TIME_TOLERANCE_S if speed > _SLOW_M_S else _SLOW_TOLERANCE_S
+        speed, enough = self._speed(errors)
         for _ in range(_LIGHT_TIME_ROUNDS):
             place = self._locate(path, received - self._light_time)
             at, velocity = state.position_velocity(place)
@@ -200,7 +199,22 @@ class BearingFamily(SensorFamily):
                 )
                 break
             self._light_time = np.maximum(self._light_time + correction, 0.0)
+        self._emitted = place.time_s
         return found, place, poses, errors
+
+    def _posed(self, received_s: NDArray[np.float64]) -> SensorPoses:
+        """Return the sensors' poses at reception, which only their clocks can change."""
+        poses = self._poses
+        if poses is None or self._clocked:
+            poses = self.geometry.poses(self.bearings.sensor, received_s)
+            if not self._clocked:
+                self._poses = poses
+        return poses
+
+    def _speed(self, errors: NDArray[np.float64]) -> tuple[float, float]:
+        """Return the speed of propagation, m/s, and how exact light times are found, seconds."""
+        speed = self.speed_m_s + float(errors[0, SPEED]) if len(self) else self.speed_m_s
+        return speed, _LIGHT_TIME_TOLERANCE_S if speed > _SLOW_M_S else _SLOW_TOLERANCE_S
 
     def _locate(self, path: Path, time_s: NDArray[np.float64]) -> Place:
         # Places are most of the work where nothing moves them, so the last ones are kept.
@@ -264,6 +278,13 @@ class BearingFamily(SensorFamily):
         self, path: Path, state: PathState, values: Values, *, jacobian: bool
     ) -> Evaluation:
         """Evaluate all bearings at one point; see :class:`Evaluation`."""
+        if (
+            compiled is not None
+            and isinstance(state, KinematicPathState)
+            and path.knots_s.size > 1
+            and not (self._turned or self.terms.chains.row.size)
+        ):
+            return self._compiled(path, state, values, jacobian=jacobian)
         found, place, poses, errors = self._find(path, state, values)
         line = found.line_of_sight_m
         if self.terms.chains.row.size:
@@ -297,6 +318,53 @@ class BearingFamily(SensorFamily):
             by_channel[walks.row, :, walks.channel] * walks.basis[:, None]
             if jacobian
             else np.zeros((0, 2)),
+        )
+
+    def _compiled(
+        self, path: Path, state: KinematicPathState, values: Values, *, jacobian: bool
+    ) -> Evaluation:
+        """Do what :meth:`evaluate` does, in compiled code.
+
+        That of paths whose weights depend on the time alone, and of errors without random walks.
+        """
+        count, order = len(self), path.order
+        errors = self.terms.errors(values.constants)
+        received = self.bearings.time_s - errors[:, CLOCK]
+        poses = self._posed(received)
+        entries = self.terms.constants
+        size = entries.row.size if jacobian else 0
+        residual, interval = np.empty((count, 2)), np.empty(count, dtype=np.int64)
+        light_time, emitted = np.array(self._light_time, dtype=np.float64), np.empty(count)
+        by_constants = np.empty((size, 2))
+        by_knots = np.empty((count, 2, 2, 3 * order)) if jacobian else None
+        compiled.bearings(
+            *(count, path.knots_s.size, order, size, _LIGHT_TIME_ROUNDS),
+            *(int(self._clocked), int(self._fast), self.speed_m_s, self.spin_rad_s),
+            self._speed(errors)[1],
+            *map(flat, (path.knots_s, state.basis, hermite_coefficients(order), received)),
+            *map(flat, (poses.position_m, poses.axes, poses.velocity_m_s, poses.axes_rate)),
+            errors,
+            *map(flat, (self.bearings.azimuth_rad, self.bearings.elevation_rad)),
+            flat(self._noise_elevation),
+            None if self._uniform else flat(self._tangent),
+            *(self._white, light_time, residual, interval, emitted, by_knots),
+            *(indices(entries.row[:size]), indices(entries.channel[:size])),
+            *(flat(entries.basis[:size]), by_constants),
+        )
+        self._light_time, self._emitted = light_time, emitted
+        none, nowhere = np.empty(0), np.empty(0, dtype=np.int64)
+        return Evaluation(
+            residual,
+            interval,
+            by_knots,
+            entries.row,
+            entries.column,
+            by_constants,
+            nowhere,
+            nowhere,
+            none,
+            none,
+            np.zeros((0, 2)),
         )
 
     def _derivatives(
@@ -363,7 +431,7 @@ class BearingFamily(SensorFamily):
     @property
     def emitted_s(self) -> NDArray[np.float64]:
         """Shape (n,): times of emission as the last evaluation found them."""
-        return self.time_s if self._place is None else self._place[1].time_s
+        return self._emitted
 
     def squares(self, found: Evaluation) -> NDArray[np.float64]:
         """Return squared whitened residuals, shape (n,), the weights for correlation taken out.

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from geograph.families import Values
-from geograph.sweep import NotPositiveDefiniteError, chain_marginals, sweep
+from geograph.sweep import NotPositiveDefiniteError, chain_marginals, substitute, sweep
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -205,7 +205,7 @@ class Chain:
                 noise_residual=np.array([piece.noise for piece in pieces]),
             )
             # Copies: a view would keep what is dropped.
-            self.forward.extend(found.knots)
+            self.forward.extend(rows.copy() for rows in found.knots)
             other = self.other[first]
             for share in found.shares:
                 other = other + share
@@ -254,19 +254,13 @@ class Chain:
         """Bring all estimates up to date."""
         assert self.final is not None
         d, last = self.knot_size, len(self.knots_s) - 1
-        offsets = np.empty((last + 1, d))
-        offsets[last] = following = self.final.step[:d]
         increments = self.final.step[d:]
         self.constants = self.reference + increments
         if self.isam is not None:
             offsets = self.isam.offsets(self)
-        elif last:
-            back = np.array(self.back)
-            shift = back[:, :, d:] @ np.append(increments, 1.0)
-            by_next = np.ascontiguousarray(back[:, :, :d])
-            for k in range(last - 1, -1, -1):
-                following = by_next[k] @ following + shift[k]
-                offsets[k] = following
+        else:
+            back = np.array(self.back).reshape(last, d, -1)
+            offsets = substitute(back, self.final.step[:d], increments)
         m = self.size
         path = np.array(self.reference_path) + offsets[:, :m] * self.scale[:m]
         chains = np.array(self.reference_chains).reshape(last + 1, -1) + offsets[:, m:]

@@ -142,6 +142,11 @@ class Model:
         )
         return self.between or noisy or states.chains > 0
 
+    @property
+    def correlated(self) -> bool:
+        """Whether measurements weigh by how many there are."""
+        return bool(self._correlation.any())
+
     @cached_property
     def _correlation(self) -> NDArray[np.float64]:
         return np.array([float(sensor.correlation) for sensor in self.prepared.sensors])
@@ -149,7 +154,7 @@ class Model:
     def correlation_weights(self, kind: str, sensor: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return weights of correlated errors; see :func:`geograph.prepare.correlation_weights`."""
         rho = self._correlation
-        if kind not in self.counts or not rho.any():
+        if kind not in self.counts or not self.correlated:
             return np.ones(sensor.size)
         count = np.maximum(self.counts[kind], 1)
         return np.asarray((1.0 / (1.0 + (count - 1) * rho))[sensor])
@@ -398,23 +403,22 @@ class Model:
         reference = np.array(chain.reference_path[low : high + 2])
         motion = self.motion
         at = reference if motion.constant else np.array(chain.path[low : high + 2])
-        found = motion.transitions(at, steps)
-        inverse, root = np.zeros((count, d, d)), np.zeros((count, d, d))
-        matrix = found.transition * scale / scale[:, None]
-        inverse[:, :m, :m] = np.linalg.inv(matrix)
-        root[:, :m, :m] = found.noise_root / scale[:, None]
-        noise = np.zeros((count, d))
-        noise[:, :m] = found.residual
+        found = motion.linear(at, steps, scale)
+        inverse, root, noise = found.inverse, found.noise_root, found.residual
         if not motion.constant:
             behind = (reference - at) / scale
+            matrix = np.linalg.inv(inverse)
             gap = behind[1:] - np.matmul(matrix, behind[:-1, :, None])[:, :, 0]
-            noise[:, :m] += np.linalg.solve(root[:, :m, :m], gap[:, :, None])[:, :, 0]
+            noise = noise + np.linalg.solve(root, gap[:, :, None])[:, :, 0]
         if d > m:
             states = self.prepared.states
             by, spread = states.chain_transitions(steps, self.prepared.walk_scale)
+            of_path = inverse, root
+            inverse, root = np.zeros((count, d, d)), np.zeros((count, d, d))
+            inverse[:, :m, :m], root[:, :m, :m] = of_path
             inverse[:, m:, m:], root[:, m:, m:] = np.linalg.inv(by), spread
             chains = np.array(chain.reference_chains[low : high + 2])
-            noise[:, m:] = chain_noise(chains, by, spread)
+            noise = np.concatenate([noise, chain_noise(chains, by, spread)], axis=1)
         pick = [k - low for k in order]
         return inverse[pick], root[pick], noise[pick]
 

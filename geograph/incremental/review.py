@@ -50,9 +50,8 @@ def look_over(state: State) -> None:
 def _weights_changed(state: State) -> bool:
     """Tell whether measurements weigh by how many there are."""
     model, chain = state.running
-    correlated = any(sensor.correlation for sensor in model.prepared.sensors)
     spread = bool(model.whole) and model.whole_s < chain.knots_s[-1] - model.since_s
-    return correlated or spread
+    return model.correlated or spread
 
 
 def _weigh_again(state: State) -> None:

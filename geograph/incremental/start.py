@@ -229,15 +229,17 @@ def with_rows(model: Model, rows: Rows) -> Model:
     timed = model.timed
     for kind, columns in rows.items():
         if kind in TABLES:
-            added = np.bincount(columns["sensor"], minlength=size)
-            counts[kind] = counts[kind] + added if kind in counts else added
+            if model.correlated:
+                added = np.bincount(columns["sensor"], minlength=size)
+                counts[kind] = counts[kind] + added if kind in counts else added
             active.update(columns["sensor"].tolist())
             if "reference" in columns:
                 active.update(columns["reference"].tolist())
         elif kind in CONSTRAINTS:
             timed = timed or bool(np.isfinite(columns["time_s"]).any())
     if active == model.active and timed == model.timed:
-        return replace(model, counts=counts)
+        # The same model, with what it has worked out already, unless it counts.
+        return replace(model, counts=counts) if model.correlated else model
     shift = None
     if not model.motion.static and not timed:
         shift = time_shift(prepared.states, prepared.sensors, sorted(active), None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -84,17 +85,18 @@ class State:
 
     def copy(self) -> State:
         """Return a state that may be changed without changing this one."""
-        return replace(
-            self,
-            chain=None if self.chain is None else self.chain.copy(),
-            out=dict(self.out),
-            names=dict(self.names),
-            dropped=list(self.dropped),
-        )
+        made = copy(self)
+        made.chain = None if self.chain is None else self.chain.copy()
+        made.out, made.names = dict(self.out), dict(self.names)
+        made.dropped = list(self.dropped)
+        return made
 
     def afresh(self) -> State:
         """Return a copy for a new update."""
-        return replace(self.copy(), reach_s=None, newly_duplicate={}, newly_late={}, dropped=[])
+        made = self.copy()
+        made.reach_s, made.dropped = None, []
+        made.newly_duplicate, made.newly_late = {}, {}
+        return made
 
     @property
     def robust(self) -> bool:

@@ -1,0 +1,1146 @@
+/*
+The hot loops in C: the same equations as the NumPy code they stand in for, one measurement or one
+interval at a time. geograph/kernels/__init__.py names them, and says which Python code is the
+reference; tests/test_kernels.py holds both together.
+
+Arrays come through the buffer protocol, C-contiguous, float64 or int64; their sizes are checked
+here, their meaning in Python. Only the limited API is used: one build serves every Python from
+3.11 on.
+*/
+#define PY_SSIZE_T_CLEAN
+#define Py_LIMITED_API 0x030b0000
+#include <Python.h>
+
+#include <math.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__)
+/* The same source for processors with wide registers and for those without. */
+#define WIDE __attribute__((target_clones("arch=haswell", "default")))
+#else
+#define WIDE
+#endif
+
+typedef Py_ssize_t Size;
+
+/* ---------------------------------------------------------------------------------- arrays */
+
+typedef struct {
+    Py_buffer view;
+    int held;
+} Array;
+
+#define MOST_ARRAYS 32
+
+typedef struct {
+    PyObject *const *arguments;
+    Size given, next;
+    Array held[MOST_ARRAYS];
+    int count;
+    int failed;
+} Reader;
+
+static void start(Reader *reader, PyObject *const *arguments, Size given)
+{
+    reader->arguments = arguments;
+    reader->given = given;
+    reader->next = 0;
+    reader->count = 0;
+    reader->failed = 0;
+}
+
+static void release(Reader *reader)
+{
+    for (int i = 0; i < reader->count; i++)
+        PyBuffer_Release(&reader->held[i].view);
+    reader->count = 0;
+}
+
+static PyObject *following(Reader *reader)
+{
+    if (reader->failed)
+        return NULL;
+    if (reader->next >= reader->given) {
+        PyErr_SetString(PyExc_TypeError, "too few arguments");
+        reader->failed = 1;
+        return NULL;
+    }
+    return reader->arguments[reader->next++];
+}
+
+static Size whole(Reader *reader)
+{
+    PyObject *object = following(reader);
+    if (object == NULL)
+        return 0;
+    Size value = PyLong_AsSsize_t(object);
+    if (value < 0) {
+        if (!PyErr_Occurred())
+            PyErr_SetString(PyExc_ValueError, "expected a count of at least 0");
+        reader->failed = 1;
+        return 0;
+    }
+    return value;
+}
+
+static double number(Reader *reader)
+{
+    PyObject *object = following(reader);
+    if (object == NULL)
+        return 0.0;
+    double value = PyFloat_AsDouble(object);
+    if (value == -1.0 && PyErr_Occurred())
+        reader->failed = 1;
+    return value;
+}
+
+/* Return an array's data; NULL for None, or with reader->failed set. */
+static void *array(Reader *reader, Size count, const char *formats, int writable)
+{
+    Size place = reader->next;
+    PyObject *object = following(reader);
+    if (object == NULL || object == Py_None)
+        return NULL;
+    int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
+    Array *own = &reader->held[reader->count];
+    if (reader->count >= MOST_ARRAYS || PyObject_GetBuffer(object, &own->view, flags) < 0) {
+        if (!PyErr_Occurred())
+            PyErr_SetString(PyExc_TypeError, "too many arrays");
+        reader->failed = 1;
+        return NULL;
+    }
+    reader->count++;
+    const char *format = own->view.format;
+    int fits = format != NULL && strlen(format) == 1 && strchr(formats, format[0]) != NULL &&
+               own->view.itemsize == 8 && own->view.len == 8 * count;
+    if (!fits) {
+        PyErr_Format(PyExc_ValueError,
+                     "argument %zd holds %zd bytes of format %s; expected %zd of 8 bytes in %s",
+                     place, own->view.len, format == NULL ? "none" : format, count, formats);
+        reader->failed = 1;
+        return NULL;
+    }
+    return own->view.buf;
+}
+
+static const double *reals(Reader *reader, Size count)
+{
+    return array(reader, count, "d", 0);
+}
+
+static double *results(Reader *reader, Size count)
+{
+    return array(reader, count, "d", 1);
+}
+
+static const int64_t *integers(Reader *reader, Size count)
+{
+    return array(reader, count, "lq", 0);
+}
+
+static int64_t *whole_results(Reader *reader, Size count)
+{
+    return array(reader, count, "lq", 1);
+}
+
+/* None was given where an array is needed. */
+static int complete(Reader *reader, int all)
+{
+    if (!reader->failed && reader->next != reader->given) {
+        PyErr_SetString(PyExc_TypeError, "too many arguments");
+        reader->failed = 1;
+    }
+    if (!reader->failed && !all) {
+        PyErr_SetString(PyExc_TypeError, "an array is missing");
+        reader->failed = 1;
+    }
+    return !reader->failed;
+}
+
+/* ---------------------------------------------------------------------------------- matrices */
+
+/* out (m x n) += sign A (m x k) B (k x n); rows of A, B and out are lda, ldb, ldo apart. */
+static inline void add_product(Size m, Size k, Size n, double sign, const double *a, Size lda,
+                               const double *b, Size ldb, double *out, Size ldo)
+{
+    for (Size i = 0; i < m; i++) {
+        double *restrict row = out + i * ldo;
+        for (Size j = 0; j < k; j++) {
+            double by = a[i * lda + j];
+            /* Transitions are mostly zeros. */
+            if (by == 0.0)
+                continue;
+            by *= sign;
+            const double *restrict from = b + j * ldb;
+            for (Size c = 0; c < n; c++)
+                row[c] += by * from[c];
+        }
+    }
+}
+
+/* out (m x n) += sign A' B, A (k x m). */
+static inline void add_transposed(Size m, Size k, Size n, double sign, const double *a, Size lda,
+                                  const double *b, Size ldb, double *out, Size ldo)
+{
+    for (Size j = 0; j < k; j++) {
+        const double *restrict from = b + j * ldb;
+        for (Size i = 0; i < m; i++) {
+            double by = a[j * lda + i];
+            if (by == 0.0)
+                continue;
+            by *= sign;
+            double *restrict row = out + i * ldo;
+            for (Size c = 0; c < n; c++)
+                row[c] += by * from[c];
+        }
+    }
+}
+
+/* Replace a symmetric matrix by the inverse of its lower Cholesky factor; 0 if it has none. */
+static inline int inverse_root(Size d, double *matrix, double *inverse)
+{
+    for (Size j = 0; j < d; j++) {
+        double pivot = matrix[j * d + j];
+        for (Size k = 0; k < j; k++)
+            pivot -= matrix[j * d + k] * matrix[j * d + k];
+        if (!(pivot > 0.0))
+            return 0;
+        double root = sqrt(pivot);
+        matrix[j * d + j] = root;
+        for (Size i = j + 1; i < d; i++) {
+            double value = matrix[i * d + j];
+            for (Size k = 0; k < j; k++)
+                value -= matrix[i * d + k] * matrix[j * d + k];
+            matrix[i * d + j] = value / root;
+        }
+    }
+    memset(inverse, 0, sizeof(double) * (size_t)(d * d));
+    for (Size j = 0; j < d; j++) {
+        inverse[j * d + j] = 1.0 / matrix[j * d + j];
+        for (Size i = j + 1; i < d; i++) {
+            double value = 0.0;
+            for (Size k = j; k < i; k++)
+                value -= matrix[i * d + k] * inverse[k * d + j];
+            inverse[i * d + j] = value / matrix[i * d + i];
+        }
+    }
+    return 1;
+}
+
+/* ---------------------------------------------------------------------------------- sweep */
+
+typedef struct {
+    Size d, c; /* components of a knot; constants and the gradient */
+    const double *knot, *blocks, *inverse_transition, *noise_root, *noise_residual;
+    double *knots, *shares, *inverse_roots, *gain, *back, *spread;
+} Sweep;
+
+/* One interval: rows of knot k (d x w) become those of knot k + 1. */
+WIDE static int sweep_step(const Sweep *all, Size k, const double *before, double *work)
+{
+    Size d = all->d, c = all->c, w = d + c, full = 2 * d + c;
+    const double *block = all->blocks + k * full * full;
+    const double *a = all->inverse_transition + k * d * d;
+    const double *root = all->noise_root + k * d * d;
+    double *b = work, *p = b + d * d, *g = p + d * w, *pb = g + d * w, *now = pb + d * d;
+    double *noise = now + d * w, *square = noise + d * w;
+    /* b = A L: x[k] = A x[k+1] - b w. */
+    memset(work, 0, sizeof(double) * (size_t)(3 * d * d + 4 * d * w));
+    add_product(d, d, d, 1.0, a, d, root, d, b, d);
+    /* What is said of x[k]: p over (x[k], constants), with the cross part to x[k+1] apart. */
+    for (Size i = 0; i < d; i++) {
+        for (Size j = 0; j < d; j++)
+            p[i * w + j] = before[i * w + j] + block[i * full + j];
+        for (Size j = 0; j < c; j++)
+            p[i * w + d + j] = before[i * w + d + j] + block[i * full + 2 * d + j];
+    }
+    /* g = (p A + cross, what concerns the constants). */
+    for (Size i = 0; i < d; i++) {
+        memcpy(g + i * w, block + i * full + d, sizeof(double) * (size_t)d);
+        memcpy(g + i * w + d, p + i * w + d, sizeof(double) * (size_t)c);
+    }
+    add_product(d, d, d, 1.0, p, w, a, d, g, w);
+    add_product(d, d, d, 1.0, p, w, b, d, pb, d);
+    /* Of the noise: (I + b' p b), and -b' g beside it. */
+    add_transposed(d, d, d, 1.0, b, d, pb, d, square, d);
+    add_transposed(d, d, w, -1.0, b, d, g, w, noise, w);
+    for (Size i = 0; i < d; i++) {
+        square[i * d + i] += 1.0;
+        noise[i * w + w - 1] += all->noise_residual[k * d + i];
+    }
+    /* Of x[k+1]: A' g + cross' A + its own part. */
+    for (Size i = 0; i < d; i++)
+        memcpy(now + i * w, block + (d + i) * full + d, sizeof(double) * (size_t)w);
+    add_transposed(d, d, w, 1.0, a, d, g, w, now, w);
+    add_transposed(d, d, d, 1.0, block + d, full, a, d, now, w);
+    double *inverse = all->inverse_roots + k * d * d;
+    if (!inverse_root(d, square, inverse))
+        return 0;
+    double *rest = p; /* not needed any more */
+    memset(rest, 0, sizeof(double) * (size_t)(d * w));
+    add_product(d, d, w, 1.0, inverse, d, noise, w, rest, w);
+    add_transposed(d, d, w, -1.0, rest, w, rest, w, now, w);
+    double *after = all->knots + k * d * w;
+    memcpy(after, now, sizeof(double) * (size_t)(d * w));
+    /* Rounding that is not symmetric would grow over tens of thousands of knots. */
+    for (Size i = 0; i < d; i++)
+        for (Size j = 0; j < i; j++)
+            after[i * w + j] = after[j * w + i] = 0.5 * (now[i * w + j] + now[j * w + i]);
+    double *share = all->shares + k * c * c;
+    for (Size i = 0; i < c; i++)
+        memcpy(share + i * c, block + (2 * d + i) * full + 2 * d, sizeof(double) * (size_t)c);
+    add_transposed(c, d, c, -1.0, rest + d, w, rest + d, w, share, c);
+    double *gain = all->gain + k * d * w, *back = all->back + k * d * w;
+    memset(gain, 0, sizeof(double) * (size_t)(d * w));
+    add_transposed(d, d, w, 1.0, inverse, d, rest, w, gain, w);
+    memset(back, 0, sizeof(double) * (size_t)(d * w));
+    for (Size i = 0; i < d; i++)
+        memcpy(back + i * w, a + i * d, sizeof(double) * (size_t)d);
+    add_product(d, d, w, 1.0, b, d, gain, w, back, w);
+    double *spread = all->spread + k * d * d;
+    memset(spread, 0, sizeof(double) * (size_t)(d * d));
+    /* b inverse': rows of the inverse are columns here. */
+    for (Size i = 0; i < d; i++)
+        for (Size m = 0; m < d; m++) {
+            double by = b[i * d + m];
+            if (by == 0.0)
+                continue;
+            for (Size j = m; j < d; j++)
+                spread[i * d + j] += by * inverse[j * d + m];
+        }
+    return 1;
+}
+
+static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
+{
+    (void)self;
+    Reader reader;
+    Sweep all;
+    start(&reader, arguments, given);
+    Size n = whole(&reader);
+    Size d = all.d = whole(&reader), c = all.c = whole(&reader);
+    Size w = d + c, full = w + d;
+    all.knot = reals(&reader, d * w);
+    all.blocks = reals(&reader, n * full * full);
+    all.inverse_transition = reals(&reader, n * d * d);
+    all.noise_root = reals(&reader, n * d * d);
+    all.noise_residual = reals(&reader, n * d);
+    all.knots = results(&reader, n * d * w);
+    all.shares = results(&reader, n * c * c);
+    all.inverse_roots = results(&reader, n * d * d);
+    all.gain = results(&reader, n * d * w);
+    all.back = results(&reader, n * d * w);
+    all.spread = results(&reader, n * d * d);
+    int there = all.knot && all.blocks && all.inverse_transition && all.noise_root &&
+                all.noise_residual && all.knots && all.shares && all.inverse_roots && all.gain &&
+                all.back && all.spread;
+    if (!complete(&reader, there)) {
+        release(&reader);
+        return NULL;
+    }
+    double *work = malloc(sizeof(double) * (size_t)(3 * d * d + 4 * d * w));
+    if (work == NULL) {
+        release(&reader);
+        return PyErr_NoMemory();
+    }
+    int good = 1;
+    Py_BEGIN_ALLOW_THREADS
+    const double *knot = all.knot;
+    for (Size k = 0; k < n && good; k++) {
+        good = sweep_step(&all, k, knot, work);
+        knot = all.knots + k * d * w;
+    }
+    Py_END_ALLOW_THREADS
+    free(work);
+    release(&reader);
+    return PyBool_FromLong(good);
+}
+
+/* known[k] = B known[k+1] B' + spread spread', slope[k] = B slope[k+1] + C, from the last on. */
+WIDE static void marginals_all(Size n, Size d, Size c, const double *back, const double *spread,
+                               double *known, double *slope, double *work)
+{
+    Size w = d + c, s = c - 1;
+    for (Size k = n - 1; k >= 0; k--) {
+        const double *by = back + k * d * w, *root = spread + k * d * d;
+        const double *next = known + (k + 1) * d * d;
+        double *own = known + k * d * d, *lean = slope + k * d * s;
+        memset(work, 0, sizeof(double) * (size_t)(d * d));
+        add_product(d, d, d, 1.0, by, w, next, d, work, d);
+        for (Size i = 0; i < d; i++)
+            for (Size j = 0; j <= i; j++) {
+                double value = 0.0;
+                for (Size m = 0; m < d; m++)
+                    value += work[i * d + m] * by[j * w + m] + root[i * d + m] * root[j * d + m];
+                own[i * d + j] = own[j * d + i] = value;
+            }
+        for (Size i = 0; i < d; i++)
+            memcpy(lean + i * s, by + i * w + d, sizeof(double) * (size_t)s);
+        add_product(d, d, s, 1.0, by, w, slope + (k + 1) * d * s, s, lean, s);
+    }
+}
+
+static PyObject *marginals(PyObject *self, PyObject *const *arguments, Size given)
+{
+    (void)self;
+    Reader reader;
+    start(&reader, arguments, given);
+    Size n = whole(&reader), d = whole(&reader), c = whole(&reader);
+    const double *back = reals(&reader, n * d * (d + c));
+    const double *spread = reals(&reader, n * d * d);
+    double *known = results(&reader, (n + 1) * d * d);
+    double *slope = results(&reader, (n + 1) * d * (c - 1));
+    if (!complete(&reader, back && spread && known && slope && c > 0)) {
+        release(&reader);
+        return NULL;
+    }
+    double *work = malloc(sizeof(double) * (size_t)(d * d + 1));
+    if (work == NULL) {
+        release(&reader);
+        return PyErr_NoMemory();
+    }
+    Py_BEGIN_ALLOW_THREADS
+    marginals_all(n, d, c, back, spread, known, slope, work);
+    Py_END_ALLOW_THREADS
+    free(work);
+    release(&reader);
+    Py_RETURN_NONE;
+}
+
+/* knots[k] = back[k] (knots[k+1], constants, 1), from the last on. */
+WIDE static void back_all(Size n, Size d, Size c, const double *back, const double *constants,
+                          double *knots)
+{
+    Size w = d + c;
+    for (Size k = n - 1; k >= 0; k--) {
+        const double *by = back + k * d * w, *next = knots + (k + 1) * d;
+        for (Size i = 0; i < d; i++) {
+            double value = by[i * w + w - 1];
+            for (Size j = 0; j < d; j++)
+                value += by[i * w + j] * next[j];
+            for (Size j = 0; j < c - 1; j++)
+                value += by[i * w + d + j] * constants[j];
+            knots[k * d + i] = value;
+        }
+    }
+}
+
+static PyObject *substitute(PyObject *self, PyObject *const *arguments, Size given)
+{
+    (void)self;
+    Reader reader;
+    start(&reader, arguments, given);
+    Size n = whole(&reader), d = whole(&reader), c = whole(&reader);
+    const double *back = reals(&reader, n * d * (d + c));
+    const double *constants = reals(&reader, c - 1);
+    double *knots = results(&reader, (n + 1) * d);
+    if (!complete(&reader, back && constants && knots && c > 0)) {
+        release(&reader);
+        return NULL;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    back_all(n, d, c, back, constants, knots);
+    Py_END_ALLOW_THREADS
+    release(&reader);
+    Py_RETURN_NONE;
+}
+
+/* ---------------------------------------------------------------------------------- blocks */
+
+typedef struct {
+    Size n, r, intervals, path, walks, constants, e, f;
+    int chained;
+    double *total;
+    const double *residual, *by_knots, *scale, *by_constants, *before, *after, *by_walks, *weight;
+    const int64_t *interval, *constant_row, *constant_column, *walk_row, *walk_column;
+} Blocks;
+
+/* Index the entries of each row: those of row i are order[first[i]] to order[first[i + 1] - 1]. */
+static int by_row(Size n, Size e, const int64_t *row, Size *first, Size *order)
+{
+    memset(first, 0, sizeof(Size) * (size_t)(n + 2));
+    for (Size k = 0; k < e; k++) {
+        if (row[k] < 0 || row[k] >= n)
+            return 0;
+        first[row[k] + 2]++;
+    }
+    for (Size i = 2; i < n + 2; i++)
+        first[i] += first[i - 1];
+    for (Size k = 0; k < e; k++)
+        order[first[row[k] + 1]++] = k;
+    return 1;
+}
+
+/* Add all rows' products to the lower triangles. */
+WIDE static int add_all(const Blocks *all, const Size *first, const Size *order, const Size *first_walk,
+                        const Size *order_walk, double *row)
+{
+    Size d = all->path + all->walks, knots = all->chained ? 2 * d : d;
+    Size width = knots + all->constants + 1, r = all->r;
+    for (Size i = 0; i < all->n; i++) {
+        int64_t place = all->interval[i];
+        if (place < 0 || place >= all->intervals)
+            return 0;
+        double *total = all->total + place * width * width;
+        double root = all->weight == NULL ? 1.0 : all->weight[i];
+        for (Size q = 0; q < r; q++) {
+            const double *by = all->by_knots + (i * r + q) * 2 * all->path;
+            if (all->walks)
+                memset(row, 0, sizeof(double) * (size_t)knots);
+            for (Size half = 0; half * d < knots; half++)
+                for (Size j = 0; j < all->path; j++)
+                    row[half * d + j] = root * by[half * all->path + j] * all->scale[j];
+            for (Size k = first_walk[i]; k < first_walk[i + 1]; k++) {
+                Size entry = order_walk[k];
+                Size column = all->path + (Size)all->walk_column[entry];
+                double value = root * all->by_walks[entry * r + q];
+                row[column] += value * all->before[entry];
+                row[column + d] += value * all->after[entry];
+            }
+            double residual = root * all->residual[i * r + q];
+            for (Size a = 0; a < knots; a++) {
+                double value = row[a];
+                if (value == 0.0)
+                    continue;
+                double *restrict out = total + a * width;
+                for (Size b = 0; b <= a; b++)
+                    out[b] += value * row[b];
+            }
+            for (Size k = first[i]; k < first[i + 1]; k++) {
+                Size column = knots + (Size)all->constant_column[order[k]];
+                double value = root * all->by_constants[order[k] * r + q];
+                double *restrict out = total + column * width;
+                for (Size b = 0; b < knots; b++)
+                    out[b] += value * row[b];
+                for (Size m = first[i]; m < first[i + 1]; m++) {
+                    Size other = knots + (Size)all->constant_column[order[m]];
+                    if (other <= column)
+                        out[other] += value * root * all->by_constants[order[m] * r + q];
+                }
+                total[(width - 1) * width + column] += value * residual;
+            }
+            double *restrict out = total + (width - 1) * width;
+            for (Size b = 0; b < knots; b++)
+                out[b] += residual * row[b];
+            out[width - 1] += residual * residual;
+        }
+    }
+    return 1;
+}
+
+static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size given)
+{
+    (void)self;
+    Reader reader;
+    Blocks all;
+    start(&reader, arguments, given);
+    all.intervals = whole(&reader);
+    all.path = whole(&reader);
+    all.walks = whole(&reader);
+    all.constants = whole(&reader);
+    all.chained = (int)whole(&reader);
+    all.n = whole(&reader);
+    all.r = whole(&reader);
+    all.e = whole(&reader);
+    all.f = whole(&reader);
+    Size d = all.path + all.walks;
+    Size width = (all.chained ? 2 * d : d) + all.constants + 1;
+    all.total = results(&reader, all.intervals * width * width);
+    all.residual = reals(&reader, all.n * all.r);
+    all.interval = integers(&reader, all.n);
+    all.by_knots = reals(&reader, all.n * all.r * 2 * all.path);
+    all.scale = reals(&reader, all.path);
+    all.constant_row = integers(&reader, all.e);
+    all.constant_column = integers(&reader, all.e);
+    all.by_constants = reals(&reader, all.e * all.r);
+    all.walk_row = integers(&reader, all.f);
+    all.walk_column = integers(&reader, all.f);
+    all.before = reals(&reader, all.f);
+    all.after = reals(&reader, all.f);
+    all.by_walks = reals(&reader, all.f * all.r);
+    all.weight = reals(&reader, all.n);
+    int there = all.total && all.residual && all.interval && all.by_knots && all.scale &&
+                all.constant_row && all.constant_column && all.by_constants && all.walk_row &&
+                all.walk_column && all.before && all.after && all.by_walks;
+    if (!complete(&reader, there)) {
+        release(&reader);
+        return NULL;
+    }
+    int fits = 1;
+    for (Size k = 0; k < all.e; k++)
+        fits &= all.constant_column[k] >= 0 && all.constant_column[k] < all.constants;
+    for (Size k = 0; k < all.f; k++)
+        fits &= all.walk_column[k] >= 0 && all.walk_column[k] < all.walks;
+    fits &= all.f == 0 || all.chained;
+    Size *index = malloc(sizeof(Size) * (size_t)(2 * (all.n + 2) + all.e + all.f));
+    double *row = malloc(sizeof(double) * (size_t)width);
+    if (index == NULL || row == NULL) {
+        free(index);
+        free(row);
+        release(&reader);
+        return PyErr_NoMemory();
+    }
+    Py_BEGIN_ALLOW_THREADS
+    Size *first = index, *first_walk = first + all.n + 2;
+    Size *order = first_walk + all.n + 2, *order_walk = order + all.e;
+    fits = fits && by_row(all.n, all.e, all.constant_row, first, order) &&
+           by_row(all.n, all.f, all.walk_row, first_walk, order_walk) &&
+           add_all(&all, first, order, first_walk, order_walk, row);
+    for (Size k = 0; fits && k < all.intervals; k++) {
+        double *total = all.total + k * width * width;
+        for (Size i = 0; i < width; i++)
+            for (Size j = 0; j < i; j++)
+                total[j * width + i] = total[i * width + j];
+    }
+    Py_END_ALLOW_THREADS
+    free(index);
+    free(row);
+    release(&reader);
+    if (!fits) {
+        PyErr_SetString(PyExc_IndexError, "an interval, row or column is out of range");
+        return NULL;
+    }
+    Py_RETURN_NONE;
+}
+
+/* ---------------------------------------------------------------------------------- bearings */
+
+#define MOST_ORDER 3
+
+/* Channels of error, as geograph.states has them; the module exports them to be checked. */
+enum { AZIMUTH = 0, ELEVATION = 1, CLOCK = 2, POSITION = 3, VELOCITY = 6, SPEED = 10, CHANNELS = 14 };
+
+typedef struct {
+    Size n, knots, order, e;
+    const double *knots_s, *basis, *hermite;
+    const double *received_s, *sensor_m, *axes, *sensor_velocity, *axes_rate, *errors;
+    const double *azimuth, *elevation, *noise_elevation, *tangent, *white;
+    double speed_m_s, spin_rad_s, enough_s;
+    int clocked, fast, rounds;
+    double *light_time_s, *residual, *time_s, *by_knots, *by_constants;
+    int64_t *interval;
+    const int64_t *constant_row, *constant_channel;
+    const double *constant_basis;
+} Bearings;
+
+static inline double dot(const double *a, const double *b)
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+static const double FACTORIAL[2 * MOST_ORDER] = {1.0, 1.0, 2.0, 6.0, 24.0, 120.0};
+
+/* factors/kinematics.py: interpolation_weights, of position and velocity. */
+static inline void weights(Size order, const double *hermite, double step, double offset,
+                           double *position, double *velocity)
+{
+    Size size = 2 * order;
+    double s = offset / step;
+    if (s < 0.0 || s > 1.0) {
+        Size first = s < 0.0 ? 0 : order;
+        double since = s < 0.0 ? offset : offset - step, power = 1.0;
+        memset(position, 0, sizeof(double) * (size_t)size);
+        memset(velocity, 0, sizeof(double) * (size_t)size);
+        for (Size block = 0; block < order; block++) {
+            position[first + block] = power / FACTORIAL[block];
+            if (block + 1 < order)
+                velocity[first + block + 1] = power / FACTORIAL[block];
+            power *= since;
+        }
+        return;
+    }
+    double powers[2 * MOST_ORDER], unit = 1.0;
+    powers[0] = 1.0;
+    for (Size power = 1; power < size; power++)
+        powers[power] = powers[power - 1] * s;
+    for (Size block = 0; block < order; block++, unit *= step)
+        for (Size knot = 0; knot < 2; knot++) {
+            Size row = knot * order + block;
+            const double *by = hermite + row * size;
+            double value = by[0], slope = 0.0;
+            for (Size power = 1; power < size; power++) {
+                value += by[power] * powers[power];
+                slope += by[power] * (double)power * powers[power - 1];
+            }
+            position[row] = value * unit;
+            velocity[row] = slope * unit / step;
+        }
+}
+
+/* The interval that a time lies in, clipped to the first and the last; searched from a guess. */
+static inline Size find(const double *knots_s, Size knots, double time, Size guess)
+{
+    Size last = knots - 2;
+    if (guess > last)
+        guess = last;
+    if (time >= knots_s[guess] || guess == 0) {
+        if (guess == last || time < knots_s[guess + 1])
+            return guess;
+    }
+    Size low = 0, high = knots; /* the first knot after the time is in (low, high] */
+    while (low < high) {
+        Size middle = (low + high) / 2;
+        if (knots_s[middle] <= time)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    Size found = low - 1;
+    return found < 0 ? 0 : found > last ? last : found;
+}
+
+typedef struct {
+    double line[3], distance, light_time, velocity[3], inertial[3];
+} Sight;
+
+/* factors/light_time.py: sight. */
+static inline Sight look(const double *at, const double *velocity, const double *sensor,
+                         double light_time, double spin)
+{
+    Sight found;
+    double turned[3] = {at[0], at[1], at[2]};
+    memcpy(found.velocity, velocity, sizeof found.velocity);
+    if (spin != 0.0) {
+        double sine = sin(spin * light_time), cosine = cos(spin * light_time);
+        turned[0] = cosine * at[0] + sine * at[1];
+        turned[1] = cosine * at[1] - sine * at[0];
+        found.velocity[0] = cosine * velocity[0] + sine * velocity[1];
+        found.velocity[1] = cosine * velocity[1] - sine * velocity[0];
+    }
+    memcpy(found.inertial, found.velocity, sizeof found.inertial);
+    if (spin != 0.0) {
+        found.inertial[0] -= spin * turned[1];
+        found.inertial[1] += spin * turned[0];
+    }
+    for (int i = 0; i < 3; i++)
+        found.line[i] = turned[i] - sensor[i];
+    found.distance = sqrt(dot(found.line, found.line));
+    found.light_time = light_time;
+    return found;
+}
+
+/* Residual of a bearing with its derivatives by the line of sight in the sensor's axes, and by the
+   errors of azimuth and elevation. */
+typedef struct {
+    double value[2], by_sight[2][3], by_error[2][2];
+} Miss;
+
+#define ZENITH_ROUNDING 0.02
+#define OPPOSITE 1e-7
+#define LEAST_COSINE 1e-7
+
+/* factors/bearing.py: tangent_residual. */
+static inline Miss tangent_miss(const double *sight, double azimuth, double elevation,
+                                const double *noise_elevation)
+{
+    Miss found;
+    double sin_a = sin(azimuth), cos_a = cos(azimuth);
+    double sin_e = sin(elevation), cos_e = cos(elevation);
+    double distance = sqrt(dot(sight, sight));
+    double direction[3] = {sight[0] / distance, sight[1] / distance, sight[2] / distance};
+    double forward = (sight[0] * cos_a + sight[1] * sin_a) / distance, up = direction[2];
+    double s1 = (sight[1] * cos_a - sight[0] * sin_a) / distance;
+    double s2 = up * cos_e - forward * sin_e;
+    double c = forward * cos_e + up * sin_e;
+    double sine2 = s1 * s1 + s2 * s2;
+    if (sine2 < OPPOSITE * OPPOSITE && c < 0.0) {
+        s1 = OPPOSITE;
+        s2 = 0.0;
+        sine2 = s1 * s1 + s2 * s2;
+    }
+    double stretch = 1.0 + sine2 / 6.0 + 3.0 * sine2 * sine2 / 40.0;
+    double curvature = 1.0 / 3.0 + sine2 * (2.0 / 15.0);
+    if (sine2 > 1e-6 || c < 0.0) {
+        double sine = sqrt(sine2), theta = atan2(sine, c);
+        stretch = theta / sine;
+        curvature = (sine - theta * c) / (sine * sine * sine);
+    }
+    double ratio = 1.0, level2 = 1.0;
+    if (noise_elevation != NULL) {
+        double noise = cos(*noise_elevation);
+        level2 = cos_e * cos_e + ZENITH_ROUNDING * ZENITH_ROUNDING;
+        ratio = sqrt((noise * noise + ZENITH_ROUNDING * ZENITH_ROUNDING) / level2);
+    }
+    found.value[0] = stretch * s1;
+    found.value[1] = stretch * s2;
+    double e1[3] = {-sin_a, cos_a, 0.0};
+    double e2[3] = {-sin_e * cos_a, -sin_e * sin_a, cos_e};
+    double u[3] = {cos_e * cos_a, cos_e * sin_a, sin_e};
+    /* dr = stretch ds + curvature s (c s.ds - sin^2 dc). */
+    for (int axis = 0; axis < 3; axis++) {
+        double by = direction[axis];
+        double ds1 = (e1[axis] - s1 * by) / distance, ds2 = (e2[axis] - s2 * by) / distance;
+        double dc = (u[axis] - c * by) / distance;
+        double both = curvature * (c * (s1 * ds1 + s2 * ds2) - sine2 * dc);
+        found.by_sight[0][axis] = stretch * ds1 + s1 * both;
+        found.by_sight[1][axis] = stretch * ds2 + s2 * both;
+    }
+    double turned[2][3] = {{sin_e * s2 - cos_e * c, -sin_e * s1, cos_e * s1}, {0.0, -c, s2}};
+    for (int error = 0; error < 2; error++) {
+        double ds1 = turned[error][0], ds2 = turned[error][1], dc = turned[error][2];
+        double both = curvature * (c * (s1 * ds1 + s2 * ds2) - sine2 * dc);
+        found.by_error[0][error] = -(stretch * ds1 + s1 * both);
+        found.by_error[1][error] = -(stretch * ds2 + s2 * both);
+    }
+    if (noise_elevation != NULL) {
+        found.by_error[0][1] -= found.value[0] * cos_e * sin_e / level2;
+        found.value[0] *= ratio;
+        for (int axis = 0; axis < 3; axis++)
+            found.by_sight[0][axis] *= ratio;
+        found.by_error[0][0] *= ratio;
+        found.by_error[0][1] *= ratio;
+    }
+    return found;
+}
+
+/* factors/bearing.py: coordinate_residual. */
+static inline Miss coordinate_miss(const double *sight, double azimuth, double elevation)
+{
+    Miss found;
+    memset(&found, 0, sizeof found);
+    double a = sight[0], b = sight[1], c = sight[2];
+    double horizontal = hypot(a, b), distance2 = dot(sight, sight);
+    double safe = fmax(horizontal, LEAST_COSINE * sqrt(distance2));
+    double square = safe * safe, tilt = c / (safe * distance2);
+    const double pi = 3.14159265358979323846;
+    double gap = atan2(b, a) - azimuth + pi;
+    found.value[0] = gap - 2.0 * pi * floor(gap / (2.0 * pi)) - pi;
+    found.by_sight[0][0] = -b / square;
+    found.by_sight[0][1] = a / square;
+    found.by_error[0][0] = 1.0;
+    if (!isnan(elevation)) {
+        found.value[1] = atan2(c, horizontal) - elevation;
+        found.by_sight[1][0] = -a * tilt;
+        found.by_sight[1][1] = -b * tilt;
+        found.by_sight[1][2] = horizontal / distance2;
+        found.by_error[1][1] = 1.0;
+    }
+    return found;
+}
+
+/* Derivatives of the whitened rows by all channels of error and by the position at emission;
+   families/bearings.py: _derivatives. */
+static inline void derive(const Bearings *all, Size i, const Sight *seen, const Miss *miss,
+                          double speed, double by_channel[2][CHANNELS], double by_position[2][3])
+{
+    const double *axes = all->axes + 9 * i, *errors = all->errors + CHANNELS * i;
+    double unit[3], rate = speed;
+    for (int j = 0; j < 3; j++)
+        unit[j] = seen->line[j] / seen->distance;
+    rate += dot(unit, seen->inertial);
+    double sine = 0.0, cosine = 1.0;
+    if (all->spin_rad_s != 0.0) {
+        sine = sin(all->spin_rad_s * seen->light_time);
+        cosine = cos(all->spin_rad_s * seen->light_time);
+    }
+    for (int q = 0; q < 2; q++) {
+        double white = all->white[2 * i + q], in_axes[3], by[3];
+        memset(by_channel[q], 0, sizeof by_channel[q]);
+        for (int j = 0; j < 3; j++)
+            in_axes[j] = miss->by_sight[q][j] * white;
+        for (int j = 0; j < 3; j++)
+            by[j] = in_axes[0] * axes[j] + in_axes[1] * axes[3 + j] + in_axes[2] * axes[6 + j];
+        if (isfinite(all->speed_m_s)) {
+            double along = dot(by, seen->inertial);
+            if (all->fast)
+                /* A faster signal was emitted later. */
+                by_channel[q][SPEED] = along * seen->distance / (rate * speed);
+            for (int j = 0; j < 3; j++)
+                by[j] -= along * unit[j] / rate;
+        }
+        by_channel[q][AZIMUTH] = miss->by_error[q][0] * white;
+        by_channel[q][ELEVATION] = miss->by_error[q][1] * white;
+        for (int j = 0; j < 3; j++)
+            by_channel[q][POSITION + j] = -by[j];
+        if (all->clocked) {
+            double by_time = 0.0;
+            for (int j = 0; j < 3; j++)
+                by_time += by[j] * (seen->velocity[j] - all->sensor_velocity[3 * i + j] -
+                                    errors[VELOCITY + j]);
+            if (all->axes_rate != NULL)
+                for (int j = 0; j < 3; j++)
+                    by_time += in_axes[j] * dot(all->axes_rate + 9 * i + 3 * j, seen->line);
+            by_channel[q][CLOCK] = -by_time;
+        }
+        by_position[q][0] = cosine * by[0] - sine * by[1];
+        by_position[q][1] = sine * by[0] + cosine * by[1];
+        by_position[q][2] = by[2];
+    }
+}
+
+WIDE static void bearings_all(const Bearings *all, double *by_channel)
+{
+    Size order = all->order, size = 2 * order, guess = 0;
+    /* Of the recording's, and the same for all of its measurements. */
+    double speed = all->speed_m_s + (all->n ? all->errors[SPEED] : 0.0);
+    for (Size i = 0; i < all->n; i++) {
+        const double *errors = all->errors + CHANNELS * i;
+        double sensor[3], place[2 * MOST_ORDER], rates[2 * MOST_ORDER];
+        for (int j = 0; j < 3; j++)
+            sensor[j] = all->sensor_m[3 * i + j] + errors[POSITION + j];
+        double light_time = all->light_time_s[i], emitted = 0.0;
+        Sight seen;
+        memset(&seen, 0, sizeof seen);
+        for (int round = 0; round < all->rounds; round++) {
+            emitted = all->received_s[i] - light_time;
+            guess = find(all->knots_s, all->knots, emitted, guess);
+            double before = all->knots_s[guess];
+            weights(order, all->hermite, all->knots_s[guess + 1] - before, emitted - before, place,
+                    rates);
+            const double *basis = all->basis + guess * size * 3;
+            double at[3] = {0.0, 0.0, 0.0}, velocity[3] = {0.0, 0.0, 0.0};
+            for (Size b = 0; b < size; b++)
+                for (int j = 0; j < 3; j++) {
+                    at[j] += place[b] * basis[3 * b + j];
+                    velocity[j] += rates[b] * basis[3 * b + j];
+                }
+            seen = look(at, velocity, sensor, light_time, all->spin_rad_s);
+            if (isinf(all->speed_m_s))
+                break;
+            double closing = dot(seen.line, seen.inertial) / seen.distance;
+            double correction = (seen.distance - speed * light_time) / (speed + closing);
+            if (!(fabs(correction) > all->enough_s)) {
+                /* What is left is below a microsecond: straight motion meets it. */
+                for (int j = 0; j < 3; j++)
+                    at[j] -= velocity[j] * correction;
+                seen = look(at, velocity, sensor, light_time + correction, all->spin_rad_s);
+                break;
+            }
+            light_time = fmax(light_time + correction, 0.0);
+        }
+        all->light_time_s[i] = light_time;
+        all->interval[i] = guess;
+        all->time_s[i] = emitted;
+        const double *axes = all->axes + 9 * i;
+        double sight[3] = {dot(axes, seen.line), dot(axes + 3, seen.line), dot(axes + 6, seen.line)};
+        double azimuth = all->azimuth[i] - errors[AZIMUTH];
+        double elevation = all->elevation[i] - errors[ELEVATION];
+        Miss miss;
+        if (all->tangent == NULL || all->tangent[i] != 0.0)
+            miss = tangent_miss(sight, azimuth, elevation,
+                                all->noise_elevation == NULL ? NULL : all->noise_elevation + i);
+        else
+            miss = coordinate_miss(sight, azimuth, elevation);
+        for (int q = 0; q < 2; q++)
+            all->residual[2 * i + q] = miss.value[q] * all->white[2 * i + q];
+        if (all->by_knots == NULL)
+            continue;
+        double by_position[2][3];
+        double(*channel)[CHANNELS] = (double(*)[CHANNELS])(by_channel + 2 * CHANNELS * i);
+        derive(all, i, &seen, &miss, speed, channel, by_position);
+        double *out = all->by_knots + i * 2 * size * 3;
+        for (int q = 0; q < 2; q++)
+            for (Size b = 0; b < size; b++)
+                for (int j = 0; j < 3; j++)
+                    *out++ = place[b] * by_position[q][j];
+    }
+}
+
+static int gather(Size n, Size e, const int64_t *row, const int64_t *channel, const double *basis,
+                  const double *by_channel, double *out)
+{
+    for (Size k = 0; k < e; k++) {
+        if (row[k] < 0 || row[k] >= n || channel[k] < 0 || channel[k] >= CHANNELS)
+            return 0;
+        for (int q = 0; q < 2; q++)
+            out[2 * k + q] = by_channel[(2 * row[k] + q) * CHANNELS + channel[k]] * basis[k];
+    }
+    return 1;
+}
+
+static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given)
+{
+    (void)self;
+    Reader reader;
+    Bearings all;
+    start(&reader, arguments, given);
+    Size n = all.n = whole(&reader), knots = all.knots = whole(&reader);
+    Size order = all.order = whole(&reader);
+    Size e = all.e = whole(&reader);
+    all.rounds = (int)whole(&reader);
+    all.clocked = (int)whole(&reader);
+    all.fast = (int)whole(&reader);
+    all.speed_m_s = number(&reader);
+    all.spin_rad_s = number(&reader);
+    all.enough_s = number(&reader);
+    if (!reader.failed && (order < 1 || order > MOST_ORDER || knots < 2)) {
+        PyErr_SetString(PyExc_ValueError, "expected 1 to 3 blocks and two knots at least");
+        reader.failed = 1;
+    }
+    all.knots_s = reals(&reader, knots);
+    all.basis = reals(&reader, (knots - 1) * 2 * order * 3);
+    all.hermite = reals(&reader, 4 * order * order);
+    all.received_s = reals(&reader, n);
+    all.sensor_m = reals(&reader, 3 * n);
+    all.axes = reals(&reader, 9 * n);
+    all.sensor_velocity = reals(&reader, 3 * n);
+    all.axes_rate = reals(&reader, 9 * n);
+    all.errors = reals(&reader, CHANNELS * n);
+    all.azimuth = reals(&reader, n);
+    all.elevation = reals(&reader, n);
+    all.noise_elevation = reals(&reader, n);
+    all.tangent = reals(&reader, n);
+    all.white = reals(&reader, 2 * n);
+    all.light_time_s = results(&reader, n);
+    all.residual = results(&reader, 2 * n);
+    all.interval = whole_results(&reader, n);
+    all.time_s = results(&reader, n);
+    all.by_knots = results(&reader, n * 2 * 2 * order * 3);
+    all.constant_row = integers(&reader, e);
+    all.constant_channel = integers(&reader, e);
+    all.constant_basis = reals(&reader, e);
+    all.by_constants = results(&reader, 2 * e);
+    int there = all.knots_s && all.basis && all.hermite && all.received_s && all.sensor_m &&
+                all.axes && all.sensor_velocity && all.errors && all.azimuth && all.elevation &&
+                all.white && all.light_time_s && all.residual && all.interval && all.time_s;
+    if (all.by_knots != NULL)
+        there = there && all.constant_row && all.constant_channel && all.constant_basis &&
+                all.by_constants;
+    if (!complete(&reader, there)) {
+        release(&reader);
+        return NULL;
+    }
+    double *by_channel = NULL;
+    if (all.by_knots != NULL) {
+        by_channel = malloc(sizeof(double) * (size_t)(2 * CHANNELS * n + 1));
+        if (by_channel == NULL) {
+            release(&reader);
+            return PyErr_NoMemory();
+        }
+    }
+    int fits = 1;
+    Py_BEGIN_ALLOW_THREADS
+    bearings_all(&all, by_channel);
+    if (by_channel != NULL)
+        fits = gather(n, e, all.constant_row, all.constant_channel, all.constant_basis, by_channel,
+                      all.by_constants);
+    Py_END_ALLOW_THREADS
+    free(by_channel);
+    release(&reader);
+    if (!fits) {
+        PyErr_SetString(PyExc_IndexError, "a row or channel is out of range");
+        return NULL;
+    }
+    Py_RETURN_NONE;
+}
+
+/* ---------------------------------------------------------------------------------- motion */
+
+/* Transitions under white noise whose density is that of the axes; scaled: inverse transitions,
+   roots of the noise, and whitened residuals of a path. */
+WIDE static void kinematics_all(Size count, Size order, const double *unit_root,
+                                const double *density, const double *scale, const double *steps,
+                                const double *state, double *inverse, double *root,
+                                double *residual)
+{
+    Size m = 3 * order;
+    for (Size k = 0; k < count; k++) {
+        double step = steps[k], power[MOST_ORDER], taylor[MOST_ORDER];
+        for (Size i = 0; i < order; i++) {
+            power[i] = pow(step, (double)(order - i) - 0.5);
+            taylor[i] = pow(step, (double)i) / FACTORIAL[i];
+        }
+        if (inverse != NULL)
+            for (Size i = 0; i < order; i++)
+                for (Size j = i; j < order; j++)
+                    for (Size axis = 0; axis < 3; axis++) {
+                        Size row = 3 * i + axis, column = 3 * j + axis;
+                        double back = (j - i) % 2 ? -taylor[j - i] : taylor[j - i];
+                        inverse[(k * m + row) * m + column] = back * scale[column] / scale[row];
+                    }
+        if (root != NULL)
+            for (Size i = 0; i < order; i++)
+                for (Size j = 0; j <= i; j++)
+                    for (Size axis = 0; axis < 3; axis++) {
+                        Size row = 3 * i + axis, column = 3 * j + axis;
+                        root[(k * m + row) * m + column] =
+                            power[i] * unit_root[i * order + j] * density[axis] / scale[row];
+                    }
+        const double *now = state + k * m, *next = now + m;
+        for (Size axis = 0; axis < 3; axis++) {
+            double miss[MOST_ORDER];
+            for (Size i = 0; i < order; i++) {
+                double gap = next[3 * i + axis];
+                for (Size j = i; j < order; j++)
+                    gap -= taylor[j - i] * now[3 * j + axis];
+                gap /= power[i];
+                for (Size j = 0; j < i; j++)
+                    gap -= unit_root[i * order + j] * miss[j];
+                miss[i] = gap / unit_root[i * order + i];
+                residual[k * m + 3 * i + axis] = miss[i] / density[axis];
+            }
+        }
+    }
+}
+
+static PyObject *kinematics(PyObject *self, PyObject *const *arguments, Size given)
+{
+    (void)self;
+    Reader reader;
+    start(&reader, arguments, given);
+    Size count = whole(&reader), order = whole(&reader);
+    if (!reader.failed && (order < 1 || order > MOST_ORDER)) {
+        PyErr_SetString(PyExc_ValueError, "expected 1 to 3 blocks");
+        reader.failed = 1;
+    }
+    Size m = 3 * order;
+    const double *unit_root = reals(&reader, order * order);
+    const double *density = reals(&reader, 3);
+    const double *scale = reals(&reader, m);
+    const double *steps = reals(&reader, count);
+    const double *state = reals(&reader, (count + 1) * m);
+    double *inverse = results(&reader, count * m * m);
+    double *root = results(&reader, count * m * m);
+    double *residual = results(&reader, count * m);
+    if (!complete(&reader, unit_root && density && scale && steps && state && residual)) {
+        release(&reader);
+        return NULL;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    kinematics_all(count, order, unit_root, density, scale, steps, state, inverse, root, residual);
+    Py_END_ALLOW_THREADS
+    release(&reader);
+    Py_RETURN_NONE;
+}
+
+/* ---------------------------------------------------------------------------------- module */
+
+static PyMethodDef methods[] = {
+    {"sweep", (PyCFunction)(void (*)(void))sweep, METH_FASTCALL, "geograph.sweep.sweep"},
+    {"marginals", (PyCFunction)(void (*)(void))marginals, METH_FASTCALL,
+     "The recursion of geograph.sweep.chain_marginals"},
+    {"substitute", (PyCFunction)(void (*)(void))substitute, METH_FASTCALL,
+     "The back substitution of geograph.eliminate.Factorisation.solve"},
+    {"add_blocks", (PyCFunction)(void (*)(void))add_blocks, METH_FASTCALL,
+     "geograph.blocks.BlockSum.add"},
+    {"bearings", (PyCFunction)(void (*)(void))bearings, METH_FASTCALL,
+     "geograph.families.bearings.BearingFamily.evaluate"},
+    {"kinematics", (PyCFunction)(void (*)(void))kinematics, METH_FASTCALL,
+     "geograph.motion.Motion.linear"},
+    {NULL, NULL, 0, NULL},
+};
+
+static struct PyModuleDef module = {
+    PyModuleDef_HEAD_INIT, "_compiled", "The hot loops in C.", -1, methods, NULL, NULL, NULL, NULL,
+};
+
+PyMODINIT_FUNC PyInit__compiled(void)
+{
+    PyObject *made = PyModule_Create(&module);
+    if (made == NULL)
+        return NULL;
+    const struct {
+        const char *name;
+        long value;
+    } channels[] = {{"AZIMUTH", AZIMUTH},   {"ELEVATION", ELEVATION}, {"CLOCK", CLOCK},
+                    {"POSITION", POSITION}, {"VELOCITY", VELOCITY},   {"SPEED", SPEED},
+                    {"CHANNELS", CHANNELS}};
+    for (size_t i = 0; i < sizeof channels / sizeof channels[0]; i++)
+        if (PyModule_AddIntConstant(made, channels[i].name, channels[i].value) < 0) {
+            Py_DECREF(made);
+            return NULL;
+        }
+    return made;
+}

@@ -1,0 +1,233 @@
+"""Compiled code against the NumPy code that it stands in for: the same numbers to rounding."""
+
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from made_problem import random_problem
+from test_families import kinds, made_possible
+
+import geograph as gg
+from geograph import blocks, motion, sweep
+from geograph.families import bearings
+from geograph.kernels import compiled
+from geograph.motion import Density, Motion
+from geograph.scenarios import low_orbit_pass
+
+MODULES = (blocks, motion, sweep, bearings)
+
+needs_compiled = pytest.mark.skipif(compiled is None, reason="nothing was compiled here")
+
+
+@pytest.mark.skipif(
+    os.environ.get("GEOGRAPH_KERNELS") == "numpy" or shutil.which("cc") is None,
+    reason="needs a compiler",
+)
+def test_it_was_compiled():
+    assert compiled is not None
+
+
+def in_numpy(work):
+    """Return what some work gives without compiled code."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in MODULES:
+            patch.setattr(module, "compiled", None)
+        return work()
+
+
+def alike(ours, reference, name, rtol=1e-9):
+    """Compare to the largest entry: of what nearly cancels, rounding is all that is left."""
+    scale = np.abs(reference).max(initial=0.0) if np.size(reference) else 1.0
+    np.testing.assert_allclose(ours, reference, rtol=rtol, atol=rtol * scale, err_msg=name)
+
+
+@needs_compiled
+@settings(max_examples=150, deadline=None, derandomize=True, phases=[Phase.generate])
+@given(seed=st.integers(0, 2**32 - 1), kind=kinds, weighted=st.booleans())
+def test_families_and_their_blocks(seed, kind, weighted):
+    kind = made_possible(kind)
+    problem, values = random_problem(np.random.default_rng(seed), kind)
+
+    def work():
+        found = problem.evaluate(values, jacobian=True)
+        plain = problem.evaluate(values, jacobian=False)
+        width = problem.layout.width
+        total = np.zeros((max(problem.knots_s.size - 1, 1), width, width))
+        for part in found:
+            root = np.linspace(0.5, 1.5, part.residual.shape[0]) if weighted else None
+            blocks.BlockSum(problem.layout, problem.path_scale).add(total, part, root)
+        return found, plain, total
+
+    # A light time is found from the last one: both start from the same.
+    held = [getattr(family, "_light_time", None) for family in problem.families]
+    held = [None if part is None else part.copy() for part in held]
+    ours = work()
+    for family, before in zip(problem.families, held, strict=True):
+        if before is not None:
+            family._light_time = before
+    reference = in_numpy(work)
+    for found, other in zip(ours[0] + ours[1], reference[0] + reference[1], strict=True):
+        assert np.array_equal(found.interval, other.interval)
+        for name in ("residual", "by_knots", "by_constants", "by_walks"):
+            one, two = getattr(found, name), getattr(other, name)
+            assert (one is None) == (two is None)
+            if one is not None:
+                # Each row against its own size: azimuths and elevations weigh differently.
+                # Light times are found to a microsecond, by one measurement or by all together.
+                alike(one, two, name, rtol=1e-7)
+    alike(ours[2], reference[2], "blocks", rtol=1e-7)
+
+
+def random_system(rng, count, d, s):
+    """Return a chain that is determined, with transitions of many zeros and noises of any size."""
+    rows = rng.normal(size=(count, 2 * d + s + 3, 2 * d + s + 1))
+    products = np.swapaxes(rows, 1, 2) @ rows
+    inverse = np.eye(d) + np.triu(rng.normal(size=(count, d, d)), 1) * (rng.random((d, d)) < 0.3)
+    root = np.tril(rng.normal(size=(count, d, d))) * rng.choice([1.0, 1e-3, 0.0], (count, 1, 1))
+    knot = np.concatenate([np.eye(d), rng.normal(size=(d, s + 1))], axis=1)
+    return knot, {
+        "blocks": products,
+        "inverse_transition": inverse,
+        "noise_root": root,
+        "noise_residual": rng.normal(size=(count, d)),
+    }
+
+
+@needs_compiled
+@pytest.mark.parametrize(("count", "d", "s"), [(1, 9, 4), (7, 6, 0), (30, 13, 20), (5, 3, 1)])
+def test_sweep_back_substitution_and_marginals(count, d, s):
+    rng = np.random.default_rng(count)
+    knot, system = random_system(rng, count, d, s)
+    last, constants = rng.normal(size=d), rng.normal(size=s)
+
+    def work():
+        found = sweep.sweep(knot, **system)
+        root = np.linalg.cholesky(np.eye(d + s) + np.ones((d + s, d + s)))
+        return (
+            found,
+            sweep.substitute(found.back, last, constants),
+            sweep.chain_marginals(found.back, found.spread, root),
+        )
+
+    ours, reference = work(), in_numpy(work)
+    alike(ours[1], reference[1], "substitute")
+    for found, other in ((ours[0], reference[0]), (ours[2], reference[2])):
+        for name in vars(found):
+            alike(getattr(found, name), getattr(other, name), name)
+
+
+@needs_compiled
+def test_what_is_not_determined_is_refused_alike():
+    knot, system = random_system(np.random.default_rng(1), 3, 4, 2)
+    system["blocks"][1] = -100.0 * np.eye(11)
+
+    def work():
+        with pytest.raises(sweep.NotPositiveDefiniteError):
+            sweep.sweep(knot, **system)
+
+    work()
+    in_numpy(work)
+
+
+@needs_compiled
+@pytest.mark.parametrize(
+    "name", ["constant-position", "constant-velocity", "constant-acceleration"]
+)
+def test_transitions(name):
+    rng = np.random.default_rng(3)
+    made = Motion(name, Density((0.3, 2.0, 10.0)), "local")
+    size = 3 * made.order
+    state, steps = rng.normal(size=(6, size)), rng.uniform(1e-3, 30.0, 5)
+    scale = rng.uniform(0.1, 1e3, size)
+
+    def work():
+        found = made.linear(state, steps, scale)
+        return {**vars(found), "alone": made.residual(state, steps)}
+
+    ours, reference = work(), in_numpy(work)
+    for part, other in reference.items():
+        alike(ours[part], other, part)
+    plain = made.transitions(state, steps)
+    np.testing.assert_allclose(
+        ours["inverse"] @ (plain.transition * scale / scale[:, None]),
+        np.broadcast_to(np.eye(size), (5, size, size)),
+        atol=1e-9 * np.abs(ours["inverse"]).max(),
+    )
+
+
+@needs_compiled
+@pytest.mark.parametrize("loss", ["none", "cauchy"])
+def test_a_pass_comes_out_the_same(loss):
+    """Cost, estimate and covariance of a whole pass, compiled or not, to 1e-6."""
+    recording = low_orbit_pass(3, sensors=4, bearings=40)
+    work = lambda: gg.smooth(recording, loss=loss)  # noqa: E731
+    ours, reference = work(), in_numpy(work)
+    assert ours.summary["cost"] == pytest.approx(reference.summary["cost"], rel=1e-8)
+    root = np.linalg.cholesky(reference.position_covariance_m2)
+    gap = (ours.position_m - reference.position_m)[:, :, None]
+    assert np.abs(np.linalg.solve(root, gap)).max() < 1e-5
+    scale = np.abs(reference.covariance).max(axis=0)
+    assert (np.abs(ours.covariance - reference.covariance) / scale).max() < 1e-6
+
+
+@needs_compiled
+def test_wrong_arrays_are_refused():
+    """What the buffers hold is checked before anything is read or written."""
+    with pytest.raises(TypeError, match="too few arguments"):
+        compiled.sweep(1, 2)
+    knot, system = random_system(np.random.default_rng(1), 2, 3, 1)
+    given_ = [knot, *system.values(), *(np.empty(1) for _ in range(6))]
+    with pytest.raises(ValueError, match=r"argument 8 holds 8 bytes of format d; expected 30"):
+        compiled.sweep(2, 3, 2, *given_)
+    with pytest.raises(ValueError, match="argument 3"):
+        compiled.sweep(2, 3, 2, knot.astype(np.float32), *given_[1:])
+    with pytest.raises((ValueError, BufferError)):
+        compiled.sweep(2, 3, 2, np.asfortranarray(knot), *given_[1:])
+    with pytest.raises(TypeError, match="an array is missing"):
+        compiled.marginals(0, 1, 1, None, np.empty(0), np.ones(1), np.empty(0))
+    with pytest.raises(TypeError, match="too many arguments"):
+        compiled.marginals(0, 1, 1, np.empty(0), np.empty(0), np.ones(1), np.empty(0), 3)
+    with pytest.raises(ValueError, match="at least 0"):
+        compiled.marginals(-1, 1, 1, None, None, None, None)
+    with pytest.raises(ValueError, match="1 to 3 blocks"):
+        compiled.kinematics(1, 4, *[None] * 8)
+    none = np.empty(0)
+    total, scale, one = np.zeros((1, 7, 7)), np.ones(3), np.ones((1, 1))
+    index = np.zeros(0, dtype=np.int64)
+    for interval in (1, -1):
+        with pytest.raises(IndexError, match="out of range"):
+            compiled.add_blocks(
+                1, 3, 0, 0, 1, 1, 1, 0, 0, total, one, np.array([interval]), np.ones((1, 1, 2, 3)),
+                scale, index, index, none, index, index, none, none, none, None,
+            )  # fmt: skip
+    assert not total.any()
+
+
+def test_without_compiled_code_everything_works():
+    """The environment variable turns it off, as where there is no compiler."""
+    code = (
+        "import geograph as gg; from geograph.kernels import compiled; assert compiled is None;"
+        "from geograph.scenarios import low_orbit_pass;"
+        "print(gg.smooth(low_orbit_pass(1, sensors=3, bearings=20)).status)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"GEOGRAPH_KERNELS": "numpy"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout.strip()) == (0, "converged"), done.stderr
+
+
+def test_an_old_build_is_not_used(monkeypatch):
+    from geograph import kernels
+
+    if compiled is not None:
+        monkeypatch.setattr(compiled, "CLOCK", 99)
+    assert kernels._load() is None
