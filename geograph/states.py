@@ -211,6 +211,10 @@ class SensorStates:
         for index, platform in enumerate(self.platforms):
             self.platform_column[platform.sensor] = len(self.walks) + 6 * index
         self.diffusion = np.array([walk.diffusion for walk in self.walks])
+        self.channels = frozenset(
+            [*(state.channel for state in self.constants), *(walk.channel for walk in self.walks)]
+        )
+        """Channels of error that have a bias, a drift or a walk."""
 
     @property
     def size(self) -> int:

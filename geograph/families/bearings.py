@@ -102,13 +102,11 @@ class BearingFamily(SensorFamily):
         self._tangent = bearings.isotropic & ~self.azimuth_only
         self._uniform = bool(self._tangent.all())
         # Only an elevation error moves the measured elevation off the corrected one.
-        touched = (states.bias_column, states.drift_column, states.walk_column)
-        errs = any((column[:, ELEVATION] >= 0).any() for column in touched)
-        self._noise_elevation = np.nan_to_num(bearings.elevation_rad) if errs else None
-        channels = {state.channel for state in states.constants}
-        self._clocked = CLOCK in channels | {walk.channel for walk in states.walks}
-        self._fast = SPEED in channels
-        self._turned = MISALIGNMENT in channels
+        self._elevation = np.where(self.azimuth_only, 0.0, bearings.elevation_rad)
+        self._noise_elevation = self._elevation if ELEVATION in states.channels else None
+        self._clocked = CLOCK in states.channels
+        self._fast = SPEED in states.channels
+        self._turned = MISALIGNMENT in states.channels
         self._light_time = np.zeros(len(bearings))
         self._walk_time = bearings.time_s.copy()
         self._poses: SensorPoses | None = None
@@ -120,15 +118,19 @@ class BearingFamily(SensorFamily):
 
     def _whitening(self, distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return reciprocals of the sigmas, shape (n, 2), position noise included."""
-        extra = np.hypot(self.position_noise_m, self.path_noise_m) / distance_m
         azimuth = self.bearings.sigma_azimuth_rad
         elevation = self.bearings.sigma_elevation_rad
-        # A displacement across the line of sight moves the azimuth by 1 / cos(elevation) more.
-        level = np.where(self._tangent, 1.0, np.cos(np.nan_to_num(self.bearings.elevation_rad)))
-        sigma = np.stack(
-            [np.hypot(azimuth, extra / np.maximum(level, 1e-6)), np.hypot(elevation, extra)], axis=1
-        )
-        white = np.sqrt(self.weight)[:, None] / sigma
+        level = np.ones(len(self))
+        if not self._uniform:
+            level = np.where(self._tangent, 1.0, np.cos(self._elevation))
+        if self.position_noise_m.any() or self.path_noise_m.any():
+            extra = np.hypot(self.position_noise_m, self.path_noise_m) / distance_m
+            # A displacement across the line of sight moves the azimuth by 1 / cos(elevation) more.
+            azimuth = np.hypot(azimuth, extra / np.maximum(level, 1e-6))
+            elevation = np.hypot(elevation, extra)
+        white = np.sqrt(self.weight)[:, None] / np.stack([azimuth, elevation], axis=1)
+        if self._uniform:
+            return np.asarray(white)
         white[self.azimuth_only, 1] = 0.0
         # At the zenith a coordinate's azimuth says nothing, however small its sigma.
         white[~self._tangent & ~self.azimuth_only & (level < _ZENITH), 0] = 0.0
