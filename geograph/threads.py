@@ -22,7 +22,7 @@ _depth = 0
 @cache
 def _controller() -> ThreadpoolController:
     # Finding the loaded libraries takes milliseconds, so it is done once.
-    return ThreadpoolController()
+    return ThreadpoolController().select(user_api="blas")
 
 
 @contextmanager
@@ -31,10 +31,11 @@ def single_blas_thread() -> Iterator[None]:
     global _depth  # noqa: PLW0603 - BLAS threads are a property of the process, too
     _depth += 1
     try:
-        if _depth > 1:
+        # Asking is cheaper than setting, by more than a small update takes to notice.
+        if _depth > 1 or all(held.get_num_threads() == 1 for held in _controller().lib_controllers):
             yield
         else:
-            with _controller().limit(limits=1, user_api="blas"):
+            with _controller().limit(limits=1):
                 yield
     finally:
         _depth -= 1
