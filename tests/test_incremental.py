@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 
 import feeding
 import numpy as np
 import pytest
 
 import geograph as gg
+from geograph import motion
 from geograph.examples import write_example
 from geograph.incremental.curvature import TOLERANCE, limits
 from geograph.incremental.review import everything
+from geograph.incremental.rows import join
+from geograph.incremental.start import problem_of
+from geograph.motion import Density, Motion
 from geograph.scenarios import low_orbit_pass
 from geograph.scenarios.radio_mixed import mixed
 from geograph.scenarios.radio_orbit import formation
 from geograph.scenarios.radio_platforms import platforms
+from geograph.solver import solve
 
 # The goals of the incremental smoother: posterior sigmas, and relative error of a covariance.
 NEAR, ALIKE, NEWEST = 0.1, 0.02, 0.2
@@ -243,6 +249,75 @@ def test_what_holds_along_the_whole_path():
     sigmas, relative = feeding.differences(smoother.track(), batch)
     assert sigmas < NEAR
     assert relative < ALIKE
+
+
+class Stacked(Density):
+    """The noise of each of a problem's intervals: a reference without the smoother's own code."""
+
+    def square_root(self, velocity_m_s, count):
+        del velocity_m_s
+        assert count == self.each.size
+        return self.each[:, None, None] * np.eye(3)
+
+    def inverse_square_root(self, velocity_m_s, count):
+        return np.linalg.inv(self.square_root(velocity_m_s, count))
+
+
+def test_process_noise_changes_from_the_newest_knot_on(monkeypatch):
+    """Equal to a batch solved over the same knots, whose noise is the one, then the other."""
+    recording = small_pass(4)
+    noise = recording.settings.process_noise
+    pieces = list(feeding.parts(recording, every=4))
+    smoother = gg.IncrementalSmoother.of(recording)
+    for part in pieces[:18]:
+        smoother.update(part)
+    before, begun = smoother.estimate, smoother._state.chain
+    oldest, first = begun.pieces[0].rows, begun.knots_s[0]
+    smoother.change_process_noise(100.0 * noise)
+    np.testing.assert_array_equal(smoother.estimate.state, before.state)
+    for part in pieces[18:]:
+        smoother.update(part)
+    after = smoother.estimate
+    model, chain = smoother._state.running
+    knots = np.array([first, *chain.knots_s])
+    assert before.time_s in knots
+
+    monkeypatch.setattr(motion, "compiled", None)
+    density = Stacked((noise,) * 3)
+    object.__setattr__(density, "each", np.where(knots[:-1] < before.time_s, noise, 100 * noise))
+    reference = replace(model, motion=Motion("constant-acceleration", density, "ecef"))
+    problem = problem_of(reference, knots, join([oldest, *(p.rows for p in chain.pieces)]))
+    held = chain.values(0, len(chain.knots_s) - 1)
+    start = replace(
+        held,
+        path=held.path[[0, *range(len(held.path))]],
+        walks=held.walks[[0, *range(len(held.path))]],
+    )
+    start.path[0, :3] -= (knots[1] - knots[0]) * start.path[0, 3:6]
+    solution = solve(problem, start, max_iterations=100)
+    found = solution.elimination.marginals().knots[-1][:9, :9] * np.outer(
+        model.path_scale, model.path_scale
+    )
+    gap = after.state - solution.values.path[-1]
+    assert np.sqrt(gap @ np.linalg.solve(found, gap)) < NEAR
+    np.testing.assert_allclose(after.covariance, found, rtol=ALIKE, atol=ALIKE * 1e-3)
+
+
+def test_process_noise_changes_before_the_start_and_wrong_ones_are_refused():
+    recording = small_pass(4)
+    noise = recording.settings.process_noise
+    smoother = gg.IncrementalSmoother.of(recording)
+    smoother.change_process_noise(10.0 * noise)
+    feeding.feed(smoother, recording, every=10)
+    batch = gg.smooth(recording, process_noise=10.0 * noise)
+    assert feeding.differences(smoother.track(), batch)[0] < NEAR
+    with pytest.raises(gg.InputError, match="auto"):
+        smoother.change_process_noise("auto")
+    with pytest.raises(gg.InputError, match="process_noise"):
+        smoother.change_process_noise(-1.0)
+    still = gg.IncrementalSmoother.of(standing())
+    with pytest.raises(gg.InputError, match="stands still"):
+        still.change_process_noise(1.0)
 
 
 def test_everything_is_evaluated_once():

@@ -9,11 +9,11 @@ import numpy as np
 
 from geograph.families import SensorFamily
 from geograph.incremental.judge import innovations, suspects
-from geograph.incremental.remake import resolve, respan, restart
+from geograph.incremental.remake import let_go, resolve, respan, restart
 from geograph.incremental.review import check, look_over
 from geograph.incremental.room import assign, emission_times, make_room
-from geograph.incremental.rows import FIXES, TABLES, choose, count, join
-from geograph.incremental.state import State, count_rows, mark, recount, scalars, with_fixes
+from geograph.incremental.rows import FIXES, choose, count, join
+from geograph.incremental.state import State, count_rows, mark, recount, with_fixes
 from geograph.robust import plain_limits
 
 if TYPE_CHECKING:
@@ -193,17 +193,7 @@ def _let_go(state: State) -> None:
     if not leave or (state.isam and 2 * leave < len(chain.pieces)):
         # iSAM2 is made anew for a new prior: as seldom as once for every knot held.
         return
-    rows = join([piece.rows for piece in chain.pieces[:leave]])
-    state.dropped.append(rows)
-    for kind, columns in rows.items():
-        if kind in TABLES:
-            gone = columns["ident"][~columns["kept"]].tolist()
-            state.rejected_before += len(gone)
-            for ident in gone:
-                state.out.pop(ident, None)
-                state.names.pop(ident, None)
-        state.total_rows -= scalars(kind, columns)
-    chain.drop(leave)
+    let_go(state, leave)
 
 
 def _without_late(

@@ -18,7 +18,7 @@ from geograph.prepare import without_refraction
 from geograph.problem import chain_noise
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -108,6 +108,8 @@ class Model:
         When the path began, and over how long a time these are spread.
     active, timed
         Sensors that have measured, and whether a constraint stands at a given time.
+    earlier
+        Motions that held before, each with the time until which it did, in the order of time.
     """
 
     prepared: Prepared
@@ -125,6 +127,7 @@ class Model:
     whole_s: float = 1.0
     active: frozenset[int] = frozenset()
     timed: bool = False
+    earlier: tuple[tuple[float, Motion], ...] = ()
 
     @cached_property
     def layout(self) -> ColumnLayout:
@@ -392,6 +395,20 @@ class Model:
                 chain.constants,
             )
 
+    @property
+    def changed_s(self) -> float:
+        """When the process noise was changed last."""
+        return self.earlier[-1][0] if self.earlier else -np.inf
+
+    def _periods(self, starts_s: Sequence[float]) -> Iterator[tuple[int, int, Motion]]:
+        """Yield ranges of intervals, by their starts, with the motion that holds in each."""
+        first = 0
+        for until, motion in (*self.earlier, (np.inf, self.motion)):
+            end = int(np.searchsorted(starts_s, until))
+            if end > first:
+                yield first, end, motion
+                first = end
+
     def _transitions(
         self, chain: Chain, order: Sequence[int]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -401,15 +418,14 @@ class Model:
         m, d = chain.size, chain.knot_size
         scale, count = self.path_scale, steps.size
         reference = np.array(chain.reference_path[low : high + 2])
-        motion = self.motion
-        at = reference if motion.constant else np.array(chain.path[low : high + 2])
-        found = motion.linear(at, steps, scale)
-        inverse, root, noise = found.inverse, found.noise_root, found.residual
-        if not motion.constant:
-            behind = (reference - at) / scale
-            matrix = np.linalg.inv(inverse)
-            gap = behind[1:] - np.matmul(matrix, behind[:-1, :, None])[:, :, 0]
-            noise = noise + np.linalg.solve(root, gap[:, :, None])[:, :, 0]
+        at = np.array(chain.path[low : high + 2])
+        parts = []
+        for first, end, motion in self._periods(chain.knots_s[low : high + 1]):
+            own = slice(first, end + 1)
+            parts.append(_of_path(motion, reference[own], at[own], steps[first:end], scale))
+        inverse, root, noise = (
+            parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
+        )
         if d > m:
             states = self.prepared.states
             by, spread = states.chain_transitions(steps, self.prepared.walk_scale)
@@ -421,6 +437,24 @@ class Model:
             noise = np.concatenate([noise, chain_noise(chains, by, spread)], axis=1)
         pick = [k - low for k in order]
         return inverse[pick], root[pick], noise[pick]
+
+
+def _of_path(
+    motion: Motion,
+    reference: NDArray[np.float64],
+    at: NDArray[np.float64],
+    steps: NDArray[np.float64],
+    scale: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return inverse transitions, noise roots, and noises at a reference, of the path, scaled."""
+    found = motion.linear(reference if motion.constant else at, steps, scale)
+    if motion.constant:
+        return found.inverse, found.noise_root, found.residual
+    behind = (reference - at) / scale
+    matrix = np.linalg.inv(found.inverse)
+    gap = behind[1:] - np.matmul(matrix, behind[:-1, :, None])[:, :, 0]
+    noise = found.residual + np.linalg.solve(found.noise_root, gap[:, :, None])[:, :, 0]
+    return found.inverse, found.noise_root, noise
 
 
 def _divided(measured: list[Measured], order: Sequence[int]) -> dict[int, Rows]:

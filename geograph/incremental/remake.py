@@ -19,11 +19,14 @@ from geograph.incremental.start import (
     begin,
     stretched,
 )
-from geograph.incremental.state import State, count_rows, note, recount, with_fixes
+from geograph.incremental.state import State, count_rows, note, recount, scalars, with_fixes
 from geograph.incremental.trial import try_rows
+from geograph.knots import automatic_spacing
+from geograph.motion import Density
 
 if TYPE_CHECKING:
     from geograph.incremental.rows import Rows
+    from geograph.recording import SmoothSettings
 
 # Linearisations that follow one another at most.
 _ROUNDS = 8
@@ -162,6 +165,60 @@ def restart(state: State, rows: Rows) -> None:
     """
     held = {k: c for k, c in join([state.rows(), rows]).items() if k != FIXES}
     _take(state, begin(state.template, state.settings, held, state.whole))
+
+
+def change_noise(state: State, settings: SmoothSettings) -> None:
+    """Let other process noise drive the path from the newest knot on.
+
+    The oldest interval is let go: what is held is then never again solved for as a batch, whose
+    noise is one.
+
+    Parameters
+    ----------
+    state
+        Changed in place.
+    settings
+        With the new noise, which is a number.
+    """
+    state.settings = settings
+    if state.chain is None:
+        return
+    model, chain = state.running
+    noise = settings.process_noise
+    assert noise != "auto"
+    before = model.motion
+    motion = before.with_density(Density.of(noise, settings.process_noise_along))
+    spacing = model.spacing_s
+    if settings.spacing_s is None:
+        assert state.resolution is not None
+        spacing = automatic_spacing(motion, model.prepared.states, state.resolution)
+    if len(chain.pieces) > 1:
+        if not chain.gone:
+            let_go(state, 1)
+        earlier = (*model.earlier, (chain.knots_s[-1], before))
+    else:
+        # As short as it is, all of it is taken to be what comes.
+        earlier = ()
+    state.model = replace(model, motion=motion, spacing_s=spacing, earlier=earlier)
+    if not earlier:
+        state.model.linearise(chain, range(len(chain.pieces)))
+        chain.eliminate()
+
+
+def let_go(state: State, leave: int) -> None:
+    """Drop the oldest intervals, as many as are said; what they said stays as a prior."""
+    _, chain = state.running
+    rows = join([piece.rows for piece in chain.pieces[:leave]])
+    state.dropped.append(rows)
+    for kind, columns in rows.items():
+        if kind in TABLES:
+            gone = columns["ident"][~columns["kept"]].tolist()
+            state.rejected_before += len(gone)
+            for ident in gone:
+                state.out.pop(ident, None)
+                state.names.pop(ident, None)
+        state.total_rows -= scalars(kind, columns)
+    chain.drop(leave)
 
 
 def finished(state: State) -> None:

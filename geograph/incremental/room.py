@@ -101,7 +101,8 @@ def make_room(model: Model, chain: Chain, times_s: NDArray[np.float64]) -> set[i
 def _extend(model: Model, chain: Chain, times: NDArray[np.float64], spacing: float) -> set[float]:
     """Move the last knot and append others, until the last time is reached."""
     changed: set[float] = set()
-    if times[0] - chain.knots_s[-2] <= spacing and not _full(model, chain):
+    closed = _full(model, chain) or chain.knots_s[-1] <= model.changed_s
+    if times[0] - chain.knots_s[-2] <= spacing and not closed:
         within = times[times - chain.knots_s[-2] <= spacing]
         _move_last(model, chain, float(within[-1]))
         changed.add(chain.knots_s[-2])

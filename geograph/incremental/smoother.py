@@ -18,7 +18,7 @@ from geograph.errors import GeographError, InputError, UpdateError
 from geograph.incremental.advance import advance
 from geograph.incremental.estimate import Estimate, Tracking
 from geograph.incremental.model import SpanError
-from geograph.incremental.remake import collect, finished, renew, restart
+from geograph.incremental.remake import change_noise, collect, finished, renew, restart
 from geograph.incremental.report import held_track, newest
 from geograph.incremental.review import check, look_over
 from geograph.incremental.rows import count, join, keys, read
@@ -328,6 +328,51 @@ class IncrementalSmoother:
             used=state.total - state.late - state.rejected_before - len(state.out),
             **common,
         )
+
+    def change_process_noise(
+        self,
+        process_noise: float | tuple[float, float, float] | Literal["auto"],
+        process_noise_along: float | None = None,
+    ) -> None:
+        """Let another noise drive the path from the newest knot on, and stay what was before.
+
+        For an object that begins or ends a manoeuvre, say. Afterwards measurements from before the
+        oldest knot but one are too late, and between knots :meth:`track` gives covariances of the
+        new noise.
+
+        Parameters
+        ----------
+        process_noise, process_noise_along
+            As in :class:`geograph.SmoothSettings`; ``"auto"`` is found at starts alone.
+
+        Raises
+        ------
+        InputError
+            If it is no finite number above 0, or the object stands still.
+        UpdateError
+            If it could not be done; the smoother is then what it was.
+        """
+        if process_noise == "auto":
+            raise InputError(
+                "process_noise is 'auto', which is found at the start; expected a number",
+                column="process_noise",
+            )
+        if self._state.settings.motion == "static":
+            raise InputError(
+                "an object that stands still has no process noise; expected another motion",
+                column="motion",
+            )
+        settings = self._state.settings.replace(
+            process_noise=process_noise, process_noise_along=process_noise_along
+        )
+        with single_blas_thread():
+            state = self._state.afresh()
+            try:
+                change_noise(state, settings)
+                estimate = self._told(state)
+            except ArithmeticError as error:
+                raise UpdateError(f"the process noise could not be changed ({error})") from error
+        self._commit(state, estimate, {}, self._emission, self._next)
 
     def track(self) -> Track:
         """Return all knots that are held, with their covariances.

@@ -77,7 +77,7 @@ def _p99(part):
 
 
 def resident_mb():
-    """Return the memory that this process holds, resident, in 10^6 bytes; not a number where unknown."""
+    """Return this process's resident memory in 10^6 bytes; not a number where it is not told."""
     status = Path("/proc/self/status")
     if not status.exists():
         return float("nan")
