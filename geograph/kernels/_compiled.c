@@ -161,41 +161,57 @@ static int complete(Reader *reader, int all)
 
 /* ---------------------------------------------------------------------------------- matrices */
 
+/* row += by[0] B[0] + by[1] B[1] + ..., k rows of B, ldb apart; by's entries are step apart. Three
+   at a time, so that the row is loaded and stored a third as often; transitions are mostly zeros. */
+static inline void add_rows(Size k, Size n, double sign, const double *by, Size step,
+                            const double *b, Size ldb, double *restrict row)
+{
+    Size j = 0;
+    for (; j + 3 <= k; j += 3) {
+        double one = by[j * step], two = by[(j + 1) * step], three = by[(j + 2) * step];
+        int used = (one != 0.0) + (two != 0.0) + (three != 0.0);
+        if (used == 0)
+            continue;
+        const double *restrict first = b + j * ldb;
+        if (used == 1) {
+            double only = sign * (one != 0.0 ? one : two != 0.0 ? two : three);
+            first += (one != 0.0 ? 0 : two != 0.0 ? 1 : 2) * ldb;
+            for (Size c = 0; c < n; c++)
+                row[c] += only * first[c];
+            continue;
+        }
+        const double *restrict second = first + ldb, *restrict third = second + ldb;
+        one *= sign;
+        two *= sign;
+        three *= sign;
+        for (Size c = 0; c < n; c++)
+            row[c] += one * first[c] + two * second[c] + three * third[c];
+    }
+    for (; j < k; j++) {
+        double only = by[j * step];
+        if (only == 0.0)
+            continue;
+        only *= sign;
+        const double *restrict first = b + j * ldb;
+        for (Size c = 0; c < n; c++)
+            row[c] += only * first[c];
+    }
+}
+
 /* out (m x n) += sign A (m x k) B (k x n); rows of A, B and out are lda, ldb, ldo apart. */
 static inline void add_product(Size m, Size k, Size n, double sign, const double *a, Size lda,
                                const double *b, Size ldb, double *out, Size ldo)
 {
-    for (Size i = 0; i < m; i++) {
-        double *restrict row = out + i * ldo;
-        for (Size j = 0; j < k; j++) {
-            double by = a[i * lda + j];
-            /* Transitions are mostly zeros. */
-            if (by == 0.0)
-                continue;
-            by *= sign;
-            const double *restrict from = b + j * ldb;
-            for (Size c = 0; c < n; c++)
-                row[c] += by * from[c];
-        }
-    }
+    for (Size i = 0; i < m; i++)
+        add_rows(k, n, sign, a + i * lda, 1, b, ldb, out + i * ldo);
 }
 
 /* out (m x n) += sign A' B, A (k x m). */
 static inline void add_transposed(Size m, Size k, Size n, double sign, const double *a, Size lda,
                                   const double *b, Size ldb, double *out, Size ldo)
 {
-    for (Size j = 0; j < k; j++) {
-        const double *restrict from = b + j * ldb;
-        for (Size i = 0; i < m; i++) {
-            double by = a[j * lda + i];
-            if (by == 0.0)
-                continue;
-            by *= sign;
-            double *restrict row = out + i * ldo;
-            for (Size c = 0; c < n; c++)
-                row[c] += by * from[c];
-        }
-    }
+    for (Size i = 0; i < m; i++)
+        add_rows(k, n, sign, a + i, lda, b, ldb, out + i * ldo);
 }
 
 /* Replace a symmetric matrix by the inverse of its lower Cholesky factor; 0 if it has none. */
@@ -473,58 +489,78 @@ static int by_row(Size n, Size e, const int64_t *row, Size *first, Size *order)
     return 1;
 }
 
-/* Add all rows' products to the lower triangles. */
-WIDE static int add_all(const Blocks *all, const Size *first, const Size *order, const Size *first_walk,
-                        const Size *order_walk, double *row)
+/* Lay out one row of a measurement over the columns of its knots. */
+static inline void lay_out(const Blocks *all, Size i, Size q, double root, Size d, Size knots,
+                           const Size *first_walk, const Size *order_walk, double *row)
+{
+    const double *by = all->by_knots + (i * all->r + q) * 2 * all->path;
+    if (all->walks)
+        memset(row, 0, sizeof(double) * (size_t)knots);
+    for (Size half = 0; half * d < knots; half++)
+        for (Size j = 0; j < all->path; j++)
+            row[half * d + j] = root * by[half * all->path + j] * all->scale[j];
+    for (Size k = first_walk[i]; k < first_walk[i + 1]; k++) {
+        Size entry = order_walk[k];
+        Size column = all->path + (Size)all->walk_column[entry];
+        double value = root * all->by_walks[entry * all->r + q];
+        row[column] += value * all->before[entry];
+        row[column + d] += value * all->after[entry];
+    }
+}
+
+/* Add all rows' products to the lower triangles. The rows of a measurement go in pairs: row and
+   other, the second of which is zero where their number is odd. */
+WIDE static int add_all(const Blocks *all, const Size *first, const Size *order,
+                        const Size *first_walk, const Size *order_walk, double *row)
 {
     Size d = all->path + all->walks, knots = all->chained ? 2 * d : d;
     Size width = knots + all->constants + 1, r = all->r;
+    double *restrict other = row + width;
     for (Size i = 0; i < all->n; i++) {
         int64_t place = all->interval[i];
         if (place < 0 || place >= all->intervals)
             return 0;
         double *total = all->total + place * width * width;
         double root = all->weight == NULL ? 1.0 : all->weight[i];
-        for (Size q = 0; q < r; q++) {
-            const double *by = all->by_knots + (i * r + q) * 2 * all->path;
-            if (all->walks)
-                memset(row, 0, sizeof(double) * (size_t)knots);
-            for (Size half = 0; half * d < knots; half++)
-                for (Size j = 0; j < all->path; j++)
-                    row[half * d + j] = root * by[half * all->path + j] * all->scale[j];
-            for (Size k = first_walk[i]; k < first_walk[i + 1]; k++) {
-                Size entry = order_walk[k];
-                Size column = all->path + (Size)all->walk_column[entry];
-                double value = root * all->by_walks[entry * r + q];
-                row[column] += value * all->before[entry];
-                row[column + d] += value * all->after[entry];
-            }
-            double residual = root * all->residual[i * r + q];
+        for (Size q = 0; q < r; q += 2) {
+            int pair = q + 1 < r;
+            lay_out(all, i, q, root, d, knots, first_walk, order_walk, row);
+            if (pair)
+                lay_out(all, i, q + 1, root, d, knots, first_walk, order_walk, other);
+            else
+                memset(other, 0, sizeof(double) * (size_t)knots);
+            double residual[2] = {root * all->residual[i * r + q],
+                                  pair ? root * all->residual[i * r + q + 1] : 0.0};
             for (Size a = 0; a < knots; a++) {
-                double value = row[a];
-                if (value == 0.0)
-                    continue;
+                double one = row[a], two = other[a];
                 double *restrict out = total + a * width;
-                for (Size b = 0; b <= a; b++)
-                    out[b] += value * row[b];
+                /* A few columns beyond the diagonal, so that whole registers are filled: the upper
+                   triangle is written anew in the end. */
+                Size end = (a + 4) & ~(Size)3;
+                if (end > knots)
+                    end = knots;
+                for (Size b = 0; b < end; b++)
+                    out[b] += one * row[b] + two * other[b];
             }
             for (Size k = first[i]; k < first[i + 1]; k++) {
+                const double *by = all->by_constants + order[k] * r + q;
                 Size column = knots + (Size)all->constant_column[order[k]];
-                double value = root * all->by_constants[order[k] * r + q];
+                double one = root * by[0], two = pair ? root * by[1] : 0.0;
                 double *restrict out = total + column * width;
                 for (Size b = 0; b < knots; b++)
-                    out[b] += value * row[b];
+                    out[b] += one * row[b] + two * other[b];
                 for (Size m = first[i]; m < first[i + 1]; m++) {
-                    Size other = knots + (Size)all->constant_column[order[m]];
-                    if (other <= column)
-                        out[other] += value * root * all->by_constants[order[m] * r + q];
+                    const double *next = all->by_constants + order[m] * r + q;
+                    Size beside = knots + (Size)all->constant_column[order[m]];
+                    if (beside <= column)
+                        out[beside] += root * (one * next[0] + (pair ? two * next[1] : 0.0));
                 }
-                total[(width - 1) * width + column] += value * residual;
+                total[(width - 1) * width + column] += one * residual[0] + two * residual[1];
             }
             double *restrict out = total + (width - 1) * width;
             for (Size b = 0; b < knots; b++)
-                out[b] += residual * row[b];
-            out[width - 1] += residual * residual;
+                out[b] += residual[0] * row[b] + residual[1] * other[b];
+            out[width - 1] += residual[0] * residual[0] + residual[1] * residual[1];
         }
     }
     return 1;
@@ -575,7 +611,7 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
         fits &= all.walk_column[k] >= 0 && all.walk_column[k] < all.walks;
     fits &= all.f == 0 || all.chained;
     Size *index = malloc(sizeof(Size) * (size_t)(2 * (all.n + 2) + all.e + all.f));
-    double *row = malloc(sizeof(double) * (size_t)width);
+    double *row = malloc(sizeof(double) * (size_t)(2 * width));
     if (index == NULL || row == NULL) {
         free(index);
         free(row);
