@@ -26,21 +26,20 @@ from small_recordings import write_small
 
 import geograph as gg
 from geograph.cli import main
-from geograph.families import bearings as family
+from geograph.families import BearingFamily
 from geograph.feed import json_lines
 
 POISON_DEG = 12.3456789
 NAMES = ("x_m", "y_m", "z_m")
 
 
-def raise_for_poison(equation, error=RuntimeError):
-    """Return a measurement equation that raises for one measured azimuth."""
+def raise_for_poison(evaluate, error=RuntimeError):
+    """Return an evaluation of bearings that raises for one measured azimuth."""
 
-    def raising(sight, azimuth_rad, *arguments, **options):
-        # A sensor's error may have been taken off.
-        if (np.abs(azimuth_rad - np.radians(POISON_DEG)) < 1e-3).any():
+    def raising(bearings, *arguments, **options):
+        if (np.abs(bearings.bearings.azimuth_rad - np.radians(POISON_DEG)) < 1e-9).any():
             raise error("an exception inside a factor")
-        return equation(sight, azimuth_rad, *arguments, **options)
+        return evaluate(bearings, *arguments, **options)
 
     return raising
 
@@ -96,8 +95,7 @@ def run(folder, runs, seed):
     if not recording.exists():
         write_small(recording)
     lines = list(json_lines(gg.read(recording)))
-    family.tangent_residual = raise_for_poison(family.tangent_residual)
-    family.coordinate_residual = raise_for_poison(family.coordinate_residual)
+    BearingFamily.evaluate = raise_for_poison(BearingFamily.evaluate)
     seen, worst, failed = Counter(), 0.0, []
     for number in range(runs):
         rng = random.Random(seed + number)

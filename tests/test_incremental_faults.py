@@ -12,7 +12,7 @@ from feed_faults import POISON_DEG, raise_for_poison
 from test_incremental import small_pass
 
 import geograph as gg
-from geograph.families import BearingFamily, bearings
+from geograph.families import BearingFamily
 from geograph.incremental.rows import TABLES, read
 from geograph.incremental.trial import try_rows
 from geograph.prepare import prepare
@@ -161,9 +161,9 @@ def test_what_raises_before_the_start_is_refused_by_itself(monkeypatch, error, p
     """Rows come one by one; those that raise are refused at once, and the rest starts alone."""
     recording = small_pass(1)
     rows = list(feeding.parts(recording, every=1))
-    raising = raise_for_poison(bearings.tangent_residual, error)
+    raising = raise_for_poison(BearingFamily.evaluate, error)
     poison = np.radians([POISON_DEG])
-    monkeypatch.setattr(bearings, "tangent_residual", raising)
+    monkeypatch.setattr(BearingFamily, "evaluate", raising)
     clean, faulty = (gg.IncrementalSmoother.of(recording) for _ in range(2))
     for k, row in enumerate(rows[:60]):
         clean.update(row)
