@@ -379,3 +379,19 @@ def test_what_stands_still_equals_the_batch_row_by_row(make, lag):
         sigmas, relative = feeding.differences(smoother.track(), batch)
         assert sigmas < NEAR
         assert relative < ALIKE
+
+
+def test_names_of_emissions_leave_with_the_lag(tmp_path):
+    """Names do not pile up; those that are held are still known, and numbers are not used again."""
+    recording = gg.read(write_example("locards", tmp_path / "locards")[3])
+    span = np.ptp(recording.arrivals.toa_s)
+    smoother = gg.IncrementalSmoother.of(recording, lag=0.2 * span)
+    feeding.feed(smoother, recording, every=1)
+    held = smoother._state.rows()["arrivals"]["emission"]
+    everything = len(recording.arrivals.emission_names)
+    assert np.unique(held).size == len(smoother._emissions) < 0.7 * everything
+    assert held.max() == everything - 1
+    # The newest arrival again is still a duplicate, by its name.
+    table = recording.arrivals
+    newest = feeding.take(table, [int(np.argmax(table.toa_s))])
+    assert smoother.update(newest).duplicate_count == 1

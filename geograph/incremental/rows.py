@@ -53,6 +53,44 @@ _MAY_BE_MISSING: Final = ("elevation_rad", "sigma_elevation_rad")
 _IDENTITY: Final = {"line", *_OWN}
 
 
+class Emissions:
+    """Numbers of emissions that have names: the same name is the same emission in every table.
+
+    New names are only noted until :meth:`commit`, and forgotten by :meth:`begin`.
+    """
+
+    def __init__(self) -> None:
+        self._held: dict[str, int] = {}
+        self._names: dict[int, str] = {}
+        self._fresh: dict[str, int] = {}
+        self._next = 0
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    def begin(self) -> None:
+        """Forget what an update noted that was not committed."""
+        self._fresh = {}
+
+    def number(self, name: str) -> int:
+        """Return the number of a name, a new one if it was not known."""
+        known = self._held.get(name)
+        if known is not None:
+            return known
+        return self._fresh.setdefault(name, self._next + len(self._fresh))
+
+    def commit(self, gone: Iterable[int]) -> None:
+        """Take over new names, and let those of emissions go that nothing is held of."""
+        self._next += len(self._fresh)
+        self._held.update(self._fresh)
+        self._names.update((number, name) for name, number in self._fresh.items())
+        self._fresh = {}
+        for number in gone:
+            name = self._names.pop(number, None)
+            if name is not None:
+                del self._held[name]
+
+
 def time_column(kind: str) -> str:
     """Return the name of a kind's time tags."""
     return "toa_s" if kind == "arrivals" else "time_s"
@@ -115,7 +153,7 @@ def read(
     *,
     sensors: int,
     first: int,
-    emission: dict[str, int],
+    emissions: Emissions,
 ) -> Rows:
     """Return given tables as rows, checked.
 
@@ -127,8 +165,8 @@ def read(
         Number of sensors.
     first
         Number of the first row.
-    emission
-        Numbers of emissions that have names; new ones are added.
+    emissions
+        Numbers of emissions that have names; new ones are noted.
 
     Raises
     ------
@@ -149,7 +187,7 @@ def read(
         given: Any = table
         if len(given):
             part = (
-                _constraints(given) if isinstance(given, Constraints) else _table(given, emission)
+                _constraints(given) if isinstance(given, Constraints) else _table(given, emissions)
             )
             for kind, columns in part.items():
                 _check(kind, columns, sensors)
@@ -174,15 +212,12 @@ def numbered(columns: Columns, first: int) -> Columns:
     }
 
 
-def _table(table: Measurements, emission: dict[str, int]) -> Rows:
+def _table(table: Measurements, emissions: Emissions) -> Rows:
     kind = _NAMES[type(table)]
     columns = {name: np.asarray(getattr(table, name)) for name in _FIELDS[kind]}
     if isinstance(table, Arrivals) and table.emission_names:
-        # The same name is the same emission, whatever its number in each table.
         names = [table.emission_names[index] for index in table.emission.tolist()]
-        columns["emission"] = np.array(
-            [emission.setdefault(name, len(emission)) for name in names], dtype=np.int64
-        )
+        columns["emission"] = np.array([emissions.number(name) for name in names], dtype=np.int64)
     return {kind: columns}
 
 

@@ -21,7 +21,7 @@ from geograph.incremental.model import SpanError
 from geograph.incremental.remake import change_noise, collect, finished, renew, restart
 from geograph.incremental.report import held_track, newest
 from geograph.incremental.review import check, look_over
-from geograph.incremental.rows import count, join, keys, read
+from geograph.incremental.rows import Emissions, count, join, keys, read
 from geograph.incremental.start import NotStartedError
 from geograph.incremental.state import State, row_names, without_duplicates
 from geograph.recording import Recording, SmoothSettings
@@ -119,7 +119,7 @@ class IncrementalSmoother:
         )
         self._state = State(template, chosen, lag, engine == "isam2")
         self._known: set[Any] = set()
-        self._emission: dict[str, int] = {}
+        self._emissions = Emissions()
         self._next = 0
         self._estimate = Estimate(
             status=Tracking.COLLECTING, message=self._state.message, frame=frame
@@ -197,13 +197,13 @@ class IncrementalSmoother:
     def _update(
         self, measurements: Measurements | Constraints | Iterable[Measurements | Constraints]
     ) -> Estimate:
-        emission = dict(self._emission)
+        self._emissions.begin()
         state = self._state.afresh()
         rows = read(
             measurements,
             sensors=len(state.template.sensors),
             first=self._next,
-            emission=emission,
+            emissions=self._emissions,
         )
         following = self._next + count(rows)
         rows, again = without_duplicates(self._known, rows)
@@ -217,7 +217,7 @@ class IncrementalSmoother:
         elif rows:
             state = self._advance(state, rows)
         estimate = self._told(state)
-        self._commit(state, estimate, new, emission, following)
+        self._commit(state, estimate, new, following)
         return estimate
 
     def _whole(self, state: State, rows: Rows) -> Rows:
@@ -276,17 +276,18 @@ class IncrementalSmoother:
         state: State,
         estimate: Estimate,
         new: Rows,
-        emission: dict[str, int],
         following: int,
     ) -> None:
         """Take over what an update made; nothing in here can fail."""
         added = [key for kind, columns in new.items() for key in keys(kind, columns)]
         gone = [k for rows in state.dropped for kind, c in rows.items() for k in keys(kind, c)]
+        silent = [r["arrivals"]["emission"].tolist() for r in state.dropped if "arrivals" in r]
         state.dropped = []
         self._known.update(added)
         self._known.difference_update(gone)
         self._state, self._estimate = state, estimate
-        self._emission, self._next = emission, following
+        self._emissions.commit(number for numbers in silent for number in numbers)
+        self._next = following
 
     def _told(self, state: State) -> Estimate:
         """Return the estimate of a state."""
@@ -372,7 +373,7 @@ class IncrementalSmoother:
                 estimate = self._told(state)
             except ArithmeticError as error:
                 raise UpdateError(f"the process noise could not be changed ({error})") from error
-        self._commit(state, estimate, {}, self._emission, self._next)
+        self._commit(state, estimate, {}, self._next)
 
     def track(self) -> Track:
         """Return all knots that are held, with their covariances.
@@ -403,7 +404,7 @@ class IncrementalSmoother:
                 state = self._state.afresh()
                 finished(state)
                 estimate = self._told(state)
-                self._commit(state, estimate, {}, self._emission, self._next)
+                self._commit(state, estimate, {}, self._next)
                 return estimate
         except GeographError:
             raise
