@@ -1,0 +1,53 @@
+"""Whether the object that bearings describe moves at a speed that anything has."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geograph.checkup.findings import Finding
+from geograph.checkup.fits import meet, written
+
+if TYPE_CHECKING:
+    from geograph.recording import Recording
+
+# Meteors reach 72 km/s. Below the least speed, over the least way, nothing is tracked but snails.
+_FASTEST_M_S = 100e3
+_SLOWEST_M_S = 0.3
+_LEAST_WAY_M = 300.0
+_LEAST_SPAN_S = 300.0
+
+
+def check_speed(recording: Recording) -> list[Finding]:
+    """Return whether times of all sensors seem to be in another unit.
+
+    Only where the bearings meet: elsewhere the path means nothing.
+    """
+    case = written(recording)
+    if case is None or len(case.active) < 2 or recording.settings.motion == "static":
+        return []
+    meeting = meet(case)
+    time = np.unique(case.bearings.time_s)
+    if meeting.excess > 1.0 or time.size < 5:
+        return []
+    place = meeting.fit.spline(time)
+    way = float(np.linalg.norm(place[-1] - place[0]))
+    speed = way / float(np.ptp(time))
+    if speed > _FASTEST_M_S:
+        severity, unit = "problem", "multiplied by 1000"
+    elif speed < _SLOWEST_M_S and way > _LEAST_WAY_M and float(np.ptp(time)) > _LEAST_SPAN_S:
+        severity, unit = "question", "divided by 1000, as if they were milliseconds"
+    else:
+        return []
+    return [
+        Finding(
+            severity="problem" if severity == "problem" else "question",
+            kind="time-unit",
+            sensor="",
+            file="bearings",
+            text=f"the object would move at {speed:.3g} m/s; with all times {unit}, at "
+            f"{speed / 1000.0 if severity == 'problem' else speed * 1000.0:.3g} m/s",
+            remedy="give times in seconds after the epoch",
+        )
+    ]
