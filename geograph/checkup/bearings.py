@@ -23,8 +23,11 @@ _GAIN = 8.0
 _CONTRADICTION_RAD = np.radians(2.0)
 # Corrections that look best against the others' path are tried with all sensors together.
 _TRIED = 3
-# A prior this wide makes single seconds the smoother's own matter.
-_WIDE_CLOCK_S = 1.0
+# Repairs that differ by less than this factor do equally well.
+_ALIKE = 2.0
+# Spans of two sensors' times that differ by more hint at another unit.
+_ODD_TIMES = 300.0
+_TIME_UNITS = ("milliseconds", "seconds-as-milliseconds")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +49,9 @@ def check_bearings(recording: Recording) -> list[Finding]:
     strangers = [i for i in case.active if _apart(case, i)]
     if whole.excess <= 1.0 and not strangers:
         return []
-    together = _together(case, whole)
-    if together is not None:
-        return [_finding(case, together)]
+    together = [] if _odd_times(case) else _together(case, whole)
+    if together:
+        return [_best(case, together)]
     return _two(case, whole) if len(case.active) == 2 else _several(case, whole, strangers)
 
 
@@ -78,6 +81,14 @@ def _apart(case: Case, sensor: int) -> bool:
     return not bool(((time[~own] >= low) & (time[~own] <= high)).any())
 
 
+def _odd_times(case: Case) -> bool:
+    """Tell whether one sensor's times span hundreds of times more, or less, than the others'."""
+    time, sensor = case.bearings.time_s, case.bearings.sensor
+    spans = np.array([float(np.ptp(time[sensor == i])) for i in case.active])
+    spans = spans[spans > 0.0]
+    return bool(spans.size > 1 and spans.max() > _ODD_TIMES * spans.min())
+
+
 def _applied(case: Case, correction: Correction, sensors: Sequence[int]) -> Case | None:
     changed: Case | None = case
     for sensor in sensors:
@@ -89,13 +100,11 @@ def _repairs(before: float, after: float, meeting: Meeting) -> bool:
     return before > _GAIN * after and meeting.excess <= 2.0
 
 
-def _together(case: Case, whole: Meeting) -> _Repair | None:
-    """Return the one mistake that all sensors share, if there is one."""
+def _together(case: Case, whole: Meeting) -> list[_Repair]:
+    """Return the mistakes that all sensors may share, each of which would explain it."""
     before = max(whole.misfit.values())
     found = []
     for correction in CORRECTIONS:
-        if correction.kind in ("milliseconds", "seconds-as-milliseconds"):
-            continue
         changed = _applied(case, correction, case.active)
         if changed is None:
             continue
@@ -103,7 +112,7 @@ def _together(case: Case, whole: Meeting) -> _Repair | None:
         after = max(meeting.misfit.values())
         if _repairs(before, after, meeting):
             found.append(_Repair(correction, tuple(case.active), before, after))
-    return min(found, key=lambda repair: repair.after, default=None)
+    return found
 
 
 def _candidates(case: Case, sensor: int) -> list[tuple[Correction, Case]]:
@@ -144,12 +153,9 @@ def _two(case: Case, whole: Meeting) -> list[Finding]:
             after = max(meeting.misfit.values())
             if _repairs(before, after, meeting):
                 found.append(_Repair(correction, (sensor,), before, after))
-    found.sort(key=lambda repair: repair.after)
     if found:
-        # Whichever of the two it is: what repairs as well is named beside it.
-        others = [r for r in found[1:] if r.after < 3.0 * found[0].after]
-        return [_finding(case, found[0], others[:2])]
-    if before < np.pi and before > max(_CONTRADICTION_RAD, max(tolerances(case).values())):
+        return [_best(case, found)]
+    if before < np.pi and before > max(_CONTRADICTION_RAD, *tolerances(case).values()):
         return [_contradiction(case, case.active, before)]
     return []
 
@@ -192,10 +198,8 @@ def _one_of(case: Case, choice: Sequence[tuple[int, Meeting]]) -> list[Finding]:
         worst = max(worst, before if before < np.pi else 0.0)
         if repair is not None:
             found.append(repair)
-    found.sort(key=lambda repair: repair.after)
     if found:
-        others = [r for r in found[1:] if r.after < 3.0 * found[0].after]
-        return [_finding(case, found[0], others[:2])]
+        return [_best(case, found)]
     if worst > _CONTRADICTION_RAD:
         return [_contradiction(case, [sensor for sensor, _ in choice], worst)]
     return []
@@ -209,14 +213,30 @@ def _against_path(case: Case, sensor: int, path: Meeting) -> tuple[_Repair | Non
         after = against(path, changed, sensor)
         if before > _GAIN * after:
             scored.append((after, correction, changed))
-    scored.sort(key=lambda entry: entry[0])
+    least = min((entry[0] for entry in scored), default=0.0)
+    scored.sort(key=lambda entry: (not (entry[1].usual and entry[0] < _ALIKE * least), entry[0]))
     found = []
     for _, correction, changed in scored[:_TRIED]:
         meeting = meet(changed)
         after = meeting.misfit[sensor]
         if _repairs(before, after, meeting):
             found.append(_Repair(correction, (sensor,), before, after))
-    return min(found, key=lambda repair: repair.after, default=None), before
+    if not found:
+        return None, before
+    least = min(repair.after for repair in found)
+    usual = [r for r in found if r.correction.usual and r.after < _ALIKE * least]
+    return (usual or sorted(found, key=lambda repair: repair.after))[0], before
+
+
+def _best(case: Case, found: Sequence[_Repair]) -> Finding:
+    """Return the finding of the best repair, with up to two others that do as well."""
+    ordered = sorted(found, key=lambda repair: repair.after)
+    alike = [repair for repair in ordered if repair.after < _ALIKE * ordered[0].after]
+    # A stable sort: the usual mistake first, then the one that fits best.
+    odd = _odd_times(case)
+    alike.sort(key=lambda r: not (r.correction.usual or (odd and r.correction.kind in _TIME_UNITS)))
+    others = [r for r in alike[1:] if r.correction.kind != alike[0].correction.kind]
+    return _finding(case, alike[0], others[:2])
 
 
 def _names(case: Case, sensors: Sequence[int]) -> str:

@@ -25,7 +25,7 @@ _HOUR_S = 3600.0
 _MOST_SECONDS = 60
 _MOST_HALF_HOURS = 28
 
-_KNOWN_SHIFTS = {
+KNOWN_SHIFTS = {
     18.0: "GPS time is 18 s ahead of UTC",
     37.0: "TAI is 37 s ahead of UTC",
     19.0: "TAI is 19 s ahead of GPS time",
@@ -48,6 +48,8 @@ class Correction:
         Whether it changes the site, not the table.
     apply
         From a case and a sensor's index to the corrected case; None where it makes no sense.
+    usual
+        Whether it is preferred to others that do as well.
     """
 
     kind: str
@@ -55,6 +57,7 @@ class Correction:
     remedy: str
     place: bool
     apply: Callable[[Case, int], Case | None]
+    usual: bool = False
 
 
 def _angles(
@@ -155,7 +158,11 @@ def _feet(case: Case, sensor: int) -> str:
 
 
 def _just(text: str) -> Callable[[Case, int], str]:
-    return lambda case, sensor: text
+    def said(case: Case, sensor: int) -> str:
+        del case, sensor
+        return text
+
+    return said
 
 
 CORRECTIONS: Sequence[Correction] = (
@@ -260,12 +267,13 @@ def shift(seconds: float) -> Correction:
     hours = size % (0.5 * _HOUR_S) == 0.0
     text = f"{size / _HOUR_S:g} h" if hours else f"{size:g} s"
     why = " (a time zone?)" if hours else ""
-    if size in _KNOWN_SHIFTS:
-        why = f" ({_KNOWN_SHIFTS[size]})"
+    if size in KNOWN_SHIFTS:
+        why = f" ({KNOWN_SHIFTS[size]})"
     return Correction(
         "time-zone" if hours else "clock-seconds",
         _just(f"with its clock {text} {ahead}{why}"),
         "give times in UTC, or give the sensor a clock_offset_s that allows for it",
         False,
         lambda case, sensor: times(lambda time: time + seconds, sensor, case),
+        size in KNOWN_SHIFTS,
     )

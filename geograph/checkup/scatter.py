@@ -100,7 +100,7 @@ def _judged(table: str, sensor: str, ratio: float) -> list[Finding]:
     unit = min(_UNITS[table], key=lambda factor: abs(np.log(size / factor)))
     more = "more" if ratio > 1.0 else "less"
     text = f"{table} of {sensor} scatter by {size:.2g} times {more} than their sigmas say"
-    if abs(np.log(size / unit)) < np.log(2.5):
+    if abs(np.log(size / unit)) < np.log(4.0):
         text += f"; {_UNITS[table][unit]} differ by {unit:.3g}"
     return [
         Finding(

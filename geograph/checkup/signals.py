@@ -67,27 +67,30 @@ def _differences(recording: Recording) -> list[Finding]:
     if table is None or not len(table):
         return []
     limit, slack = _limit(recording, table.sensor, table.reference, table.time_s)
-    slack = slack + _SIGMAS * table.sigma_s
+    noise = _SIGMAS * table.sigma_s
     found = []
     for index in np.unique(table.sensor):
         rows = table.sensor == index
         size = np.abs(table.tdoa_s[rows])
         most = limit[rows] + slack[rows]
-        if np.mean(size > most) < _SHARE:
+        if np.mean(size > most + noise[rows]) < _SHARE:
             continue
         name = recording.sensor_names[index]
         text = (
             f"time differences of {name} are as large as {np.median(size):.3g} s; its distance "
             f"from the reference allows {np.median(limit[rows]):.3g} s"
         )
-        text += _unit_text(size, most)
+        text += _unit_text(size, most, noise[rows])
         found.append(_finding(name, "time_differences", text))
     return found
 
 
-def _unit_text(size: NDArray[np.float64], most: NDArray[np.float64]) -> str:
+def _unit_text(
+    size: NDArray[np.float64], most: NDArray[np.float64], noise: NDArray[np.float64]
+) -> str:
+    """Return the unit in which values, and their noise with them, would be possible."""
     for factor, unit in _UNITS.items():
-        if (factor * size <= most).mean() > 1.0 - 0.5 * _SHARE:
+        if (factor * (size - noise) <= most).mean() > 1.0 - 0.5 * _SHARE:
             return f"; as {unit} instead of s they would fit"
     return ""
 
@@ -101,9 +104,9 @@ def _arrivals(recording: Recording) -> list[Finding]:
         return []
     sensor, second = table.sensor[one], table.sensor[other]
     limit, slack = _limit(recording, sensor, second, table.toa_s[one])
-    slack = slack + _SIGMAS * np.hypot(table.sigma_s[one], table.sigma_s[other])
+    noise = _SIGMAS * np.hypot(table.sigma_s[one], table.sigma_s[other])
     lag = table.toa_s[one] - table.toa_s[other]
-    beyond = np.abs(lag) > limit + slack
+    beyond = np.abs(lag) > limit + slack + noise
     pairs = np.stack([np.minimum(sensor, second), np.maximum(sensor, second)], axis=1)
     bad = [tuple(p) for p in np.unique(pairs, axis=0) if _mostly(beyond, pairs, p)]
     if not bad:
@@ -113,7 +116,7 @@ def _arrivals(recording: Recording) -> list[Finding]:
     names = recording.sensor_names
     alone = len(bad) == most and (len(counts) > 2 or len(np.unique(table.sensor)) == 2)
     if not alone:
-        fits = _unit_text(np.abs(lag), limit + slack)
+        fits = _unit_text(np.abs(lag), limit + slack, noise)
         text = (
             f"arrival times of one emission differ by {np.median(np.abs(lag)):.3g} s; the sensors' "
             f"distances allow {np.median(limit):.3g} s{fits}"
@@ -126,7 +129,7 @@ def _arrivals(recording: Recording) -> list[Finding]:
         f"distances allow {np.median(limit[rows]):.3g} s"
     )
     whole = round(float(np.median(signed)))
-    fits = np.abs(signed - whole) <= (limit + slack)[rows]
+    fits = np.abs(signed - whole) <= (limit + slack + noise)[rows]
     if whole and fits.mean() > 1.0 - 0.5 * _SHARE:
         text += f"; with its clock set by {-whole:+d} s they would fit"
     return [_finding(names[worst], "arrivals", text)]

@@ -8,15 +8,21 @@ import numpy as np
 
 from geograph.checkup.findings import Finding
 from geograph.checkup.fits import meet, written
+from geograph.factors.constraints import altitude
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from geograph.recording import Recording
 
-# Meteors reach 72 km/s. Below the least speed, over the least way, nothing is tracked but snails.
+# Meteors reach 72 km/s. Below the least speed, over the least way, nothing is tracked but snails;
+# in low orbits, balloons being below and geostationary satellites above, nothing stands still.
 _FASTEST_M_S = 100e3
 _SLOWEST_M_S = 0.3
+_SLOWEST_IN_SPACE_M_S = 300.0
 _LEAST_WAY_M = 300.0
 _LEAST_SPAN_S = 300.0
+_LOW_ORBIT_M = (120e3, 20e6)
 
 
 def check_speed(recording: Recording) -> list[Finding]:
@@ -34,9 +40,10 @@ def check_speed(recording: Recording) -> list[Finding]:
     place = meeting.fit.spline(time)
     way = float(np.linalg.norm(place[-1] - place[0]))
     speed = way / float(np.ptp(time))
+    long = float(np.ptp(time)) > _LEAST_SPAN_S and way > _LEAST_WAY_M
     if speed > _FASTEST_M_S:
         severity, unit = "problem", "multiplied by 1000"
-    elif speed < _SLOWEST_M_S and way > _LEAST_WAY_M and float(np.ptp(time)) > _LEAST_SPAN_S:
+    elif long and speed < (_SLOWEST_IN_SPACE_M_S if _in_space(recording, place) else _SLOWEST_M_S):
         severity, unit = "question", "divided by 1000, as if they were milliseconds"
     else:
         return []
@@ -51,3 +58,11 @@ def check_speed(recording: Recording) -> list[Finding]:
             remedy="give times in seconds after the epoch",
         )
     ]
+
+
+def _in_space(recording: Recording, place: NDArray[np.float64]) -> bool:
+    """Tell whether a path is where only what orbits stays up."""
+    if recording.frame != "ecef" or not (np.linalg.norm(place, axis=1) > 1e6).all():
+        return False
+    height = float(np.median(altitude(place, "ecef")[0]))
+    return _LOW_ORBIT_M[0] < height < _LOW_ORBIT_M[1]
