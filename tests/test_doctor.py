@@ -12,6 +12,8 @@ from small_recordings import write_signals, write_small
 
 import geograph as gg
 from geograph.checkup import summary
+from geograph.checkup.fits import taken
+from geograph.checkup.pairs import ray_miss
 from geograph.cli import main
 from geograph.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from geograph.scenarios import ground_pass, low_orbit_pass, room
@@ -174,6 +176,14 @@ def test_a_mistake_in_winchcombe():
     assert "1.213" in finding.text
 
 
+def test_a_clock_on_gps_time_in_winchcombe():
+    name = "GBWL01"
+    found = gg.doctor(turned(gg.read(DATA / "winchcombe"), name, time_s=lambda t: t + 18.0))
+    finding = only(found, "clock-seconds")
+    assert finding.sensor == name
+    assert "18 s ahead (GPS time" in finding.text
+
+
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "µs"), (1e9, "ns")])
 def test_units_of_signals(tmp_path, factor, unit):
     recording = gg.read(write_signals(tmp_path / "signals"))
@@ -265,3 +275,35 @@ def test_the_command(tmp_path, capsys):
     assert [entry["kind"] for entry in facts["findings"]] == ["azimuth-from-south"]
     assert facts["tables"]["bearings"]["sensors"]["A"]["rows"] == 40
     assert main(["doctor", str(tmp_path / "absent")]) == 2
+
+
+def test_sensors_that_hand_over_are_healthy():
+    recording = aircraft()
+    table = recording.bearings
+    middle = 0.5 * sum(recording.time_span_s)
+    # The first sees the beginning alone, the second the end alone.
+    rows = np.flatnonzero(
+        ((table.sensor != 0) | (table.time_s < middle - 5.0))
+        & ((table.sensor != 1) | (table.time_s > middle + 5.0))
+    )
+    for sensors in ((0, 1), (0, 1, 2), (0, 1, 2, 3)):
+        some = rows[np.isin(table.sensor[rows], sensors)]
+        assert gg.doctor(dataclasses.replace(recording, bearings=taken(table, some))) == []
+
+
+@pytest.mark.parametrize("seed", [1000, 1014, 1029, 1048])
+def test_a_first_guess_that_goes_astray_is_no_finding(seed):
+    # Two cameras near the object: the first guess misses bearings that do meet.
+    assert gg.doctor(mixed(seed)) == []
+
+
+def test_rays_miss_as_constructed():
+    rng = np.random.default_rng(5)
+    one, other, target = rng.normal(size=(3, 50, 3))
+    sights = [target - one, target - other]
+    first, second = (sight / np.linalg.norm(sight, axis=1)[:, None] for sight in sights)
+    assert ray_miss(one, first, other, second).max() < 1e-6
+    # Rays that point away from where their lines meet only part: half the angle between them.
+    apart = 0.5 * np.arccos(np.clip(np.sum(first * second, axis=1), -1.0, 1.0))
+    assert (ray_miss(one, -first, other, -second) <= apart + 1e-9).all()
+    assert (ray_miss(one, -first, other, -second) > 1e-3).all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from geograph.checkup.corrections import CORRECTIONS, Correction, shift, shifts, small_numbers
 from geograph.checkup.findings import Finding, degrees_text
 from geograph.checkup.fits import against, meet, meet_at, tolerances, written
+from geograph.checkup.pairs import pair_miss
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,6 +25,8 @@ _GAIN = 8.0
 _CONTRADICTION_RAD = np.radians(2.0)
 # Corrections that look best against the others' path are tried with all sensors together.
 _TRIED = 3
+# Clock errors within so many sigmas of the priors are no mistakes.
+_SIGMAS = 8.0
 # Repairs that differ by less than this factor do equally well.
 _ALIKE = 2.0
 # Spans of two sensors' times that differ by more hint at another unit.
@@ -49,7 +53,9 @@ def check_bearings(recording: Recording) -> list[Finding]:
     strangers = [i for i in case.active if _apart(case, i)]
     if whole.excess <= 1.0 and not strangers:
         return []
-    together = [] if _odd_times(case) else _together(case, whole)
+    if _meet_in_pairs(case):
+        return []
+    together = [] if _odd_times(case) or whole.excess <= 1.0 else _together(case, whole)
     if together:
         return [_best(case, together)]
     return _two(case, whole) if len(case.active) == 2 else _several(case, whole, strangers)
@@ -81,6 +87,23 @@ def _apart(case: Case, sensor: int) -> bool:
     return not bool(((time[~own] >= low) & (time[~own] <= high)).any())
 
 
+def _meet_in_pairs(case: Case) -> bool:
+    """Tell whether a first guess that misses is to blame itself: all pairs of rays meet.
+
+    Rays that nearly coincide, or clocks that are far off, can mislead it. More than two sensors
+    whose clocks are right are not asked: in a plane any two rays meet.
+    """
+    if len(case.active) > 2 and not any(
+        case.sensors[index].errors.clock_offset_s > 0.0 for index in case.active
+    ):
+        return False
+    allowed = tolerances(case)
+    return all(
+        pair_miss(case.only([one, other])) <= max(allowed[one], allowed[other])
+        for one, other in combinations(case.active, 2)
+    )
+
+
 def _odd_times(case: Case) -> bool:
     """Tell whether one sensor's times span hundreds of times more, or less, than the others'."""
     time, sensor = case.bearings.time_s, case.bearings.sensor
@@ -102,11 +125,12 @@ def _repairs(before: float, after: float, meeting: Meeting) -> bool:
 
 def _together(case: Case, whole: Meeting) -> list[_Repair]:
     """Return the mistakes that all sensors may share, each of which would explain it."""
-    before = max(whole.misfit.values())
+    apart = any(_apart(case, i) for i in case.active)
+    before = np.pi if apart else max(whole.misfit.values())
     found = []
     for correction in CORRECTIONS:
         changed = _applied(case, correction, case.active)
-        if changed is None:
+        if changed is None or (apart and any(_apart(changed, i) for i in case.active)):
             continue
         meeting = meet(changed)
         after = max(meeting.misfit.values())
@@ -129,7 +153,9 @@ def _shifts(case: Case, sensor: int) -> list[float]:
     """Return clock errors beyond a sensor's prior that leave it times in common with others."""
     time, own = case.bearings.time_s, case.bearings.sensor == sensor
     low, high = float(time[~own].min()), float(time[~own].max())
-    least = max(8.0 * case.sensors[sensor].errors.clock_offset_s, 0.5)
+    # What priors allow between a clock and the surest other one is the smoother's to find.
+    prior = min(case.sensors[i].errors.clock_offset_s for i in case.active if i != sensor)
+    least = max(_SIGMAS * np.hypot(case.sensors[sensor].errors.clock_offset_s, prior), 0.5)
     return [
         seconds
         for seconds in shifts()
@@ -253,7 +279,7 @@ def _finding(case: Case, repair: _Repair, others: Sequence[_Repair] = ()) -> Fin
             said += f"; that was {case.sensors[repair.sensors[0]].name}"
     else:
         said = repair.correction.said(case, repair.sensors[0])
-    if repair.before < np.pi:
+    if repair.before < np.pi:  # pi stands for "no time in common"
         text = (
             f"{said}, bearings of {whose} meet to {after} instead of "
             f"{degrees_text(np.degrees(repair.before))}"

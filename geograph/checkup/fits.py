@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _ROWS = 60
 
 # The share of a sensor's bearings that must lie within what is called its misfit.
-_SHARE = 0.7
+SHARE = 0.7
 
 # Misfits up to this many sigmas (biases' priors included), or this angle, need no explanation.
 _SIGMAS = 8.0
@@ -126,7 +126,7 @@ def meet(case: Case) -> Meeting:
     for fit in finder.fits()[:2]:
         lines = finder.lines(fit.clock_s)
         off = angles(fit, lines)
-        misfit = {i: float(np.quantile(off[lines.sensor == i], _SHARE)) for i in case.active}
+        misfit = {i: float(np.quantile(off[lines.sensor == i], SHARE)) for i in case.active}
         tried.append(Meeting(case, fit, misfit))
     return min(tried, key=lambda meeting: meeting.excess)
 
@@ -136,7 +136,7 @@ def meet_at(case: Case, clock_s: NDArray[np.float64]) -> Meeting:
     finder = case.finder()
     fit, lines = finder.best_fit(clock_s), finder.lines(clock_s)
     off = angles(fit, lines)
-    misfit = {i: float(np.quantile(off[lines.sensor == i], _SHARE)) for i in case.active}
+    misfit = {i: float(np.quantile(off[lines.sensor == i], SHARE)) for i in case.active}
     return Meeting(case, fit, misfit)
 
 
@@ -189,5 +189,5 @@ def against(path: Meeting, case: Case, sensor: int, shift_s: float = 0.0) -> flo
         inside = (sent >= low - slack) & (sent <= high + slack)
         if np.count_nonzero(inside) < max(3, 0.5 * inside.size):
             continue
-        best = min(best, float(np.quantile(angles(path.fit, lines)[inside], _SHARE)))
+        best = min(best, float(np.quantile(angles(path.fit, lines)[inside], SHARE)))
     return best
