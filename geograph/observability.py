@@ -15,6 +15,7 @@ from geograph.vantage import vantage
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.eliminate import LinearSystem
     from geograph.track import Track
 
 # A position is named weak when its sigma exceeds this share of its distance, and the path is
@@ -126,17 +127,20 @@ def weak_directions(
         for direction in principal_directions(track, knot, limit)
     ]
     sentences += _unseen_misalignments(track)
-    bent = _bent_knot(track, distance) if curvature else None
+    bent = _bent_knots(track, distance) if curvature else []
     rise, curved = None, ""
-    if not unobservable and bent is not None:
-        rise = cost_rise(track, bent)
+    if not unobservable and bent:
+        rises = cost_rises(track, bent)
+        rise = max(rises)
         if rise > CURVED_RISE:
             curved = (
                 f"the posterior is curved: at one sigma the cost rises by {rise:.3g} "
                 "instead of 0.5, so that the ellipsoids are too small"
             )
-            sentences.append(f"{_sentence(track, bent, -1, 'there')}; {curved}")
-            unobservable = rise > NOT_GAUSSIAN_RISE
+            worst_bent = bent[rises.index(rise)]
+            sentences.append(f"{_sentence(track, worst_bent, -1, 'there')}; {curved}")
+            # An end that is badly seen does not make the whole path unobservable.
+            unobservable = rises[0] > NOT_GAUSSIAN_RISE
     elif unobservable:
         curved = "the position is not determined: where it ends is not a matter of linearisation"
     return WeakDirections(sentences, unobservable, directions, rise, curved)
@@ -164,24 +168,25 @@ def principal_directions(track: Track, knot: int, limit_m: float) -> list[Direct
     return found
 
 
-def _bent_knot(track: Track, distance_m: float) -> int | None:
-    """Return the knot whose ellipsoid is long enough to feel that bearings see along curves.
+def _bent_knots(track: Track, distance_m: float) -> list[int]:
+    """Return the knots whose ellipsoids are long enough to feel a curve, the typical one first.
 
     A move of s along an ellipsoid's longest axis, at a distance r, is off by up to s^2 / (2 r)
-    across it.
+    across it, for bearings see along curves. Ground bends more than lines of sight do, and one part
+    of a path over it more than another: there the worst knot is returned, too.
     """
     values = np.maximum(np.linalg.eigvalsh(track.position_covariance_m2), 0.0)
     bend = values[:, -1] / (2.0 * distance_m)
     share = bend / np.sqrt(np.maximum(values[:, 0], 1e-300))
     middle = int(np.argsort(share)[share.size // 2])
     if track.recording.terrain is not None:
-        # Ground bends more than lines of sight do.
-        return middle
-    return middle if share[middle] > _BEND_SHARE else None
+        longest = int(np.argmax(values[:, -1]))
+        return list(dict.fromkeys((middle, longest)))
+    return [middle] if share[middle] > _BEND_SHARE else []
 
 
-def cost_rise(track: Track, knot: int) -> float:
-    """Return the rise of the cost at one sigma along a knot's weakest direction, at most.
+def cost_rises(track: Track, knots: list[int]) -> list[float]:
+    """Return the rise of the cost at one sigma along the weakest direction of each knot, at most.
 
     All other unknowns move with it as the covariance says. For a Gaussian posterior it is one half
     on both sides (the likelihood ratio against the Wald statistic; D. M. Bates, D. G. Watts,
@@ -191,14 +196,18 @@ def cost_rise(track: Track, knot: int) -> float:
     ----------
     track
         With a problem that can be factorised at its estimate.
-    knot
-        Index of the knot.
+    knots
+        Indices of the knots.
     """
+    system = track.problem.linearise(track.values)
+    return [_cost_rise(track, system, knot) for knot in knots]
+
+
+def _cost_rise(track: Track, system: LinearSystem, knot: int) -> float:
     problem, values = track.problem, track.values
     _, vectors = np.linalg.eigh(track.position_covariance_m2[knot])
     direction = np.zeros(problem.layout.knot)
     direction[:3] = vectors[:, -1] * problem.path_scale[:3]
-    system = problem.linearise(values)
     move = response(system, knot, direction)
     sigma = float(np.sqrt(direction @ move.knots[knot]))
     costs = [

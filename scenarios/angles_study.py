@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geograph.scenarios.accelerometer import Accelerometer
 from geograph.scenarios.angles_scores import (
     AXES,
     Figure,
@@ -25,7 +26,7 @@ from geograph.scenarios.angles_trials import BASELINE, ESTIMATORS, GRAPH, Scores
 from geograph.scenarios.angles_worlds import WORLDS, variant
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from geograph.scenarios.angles_worlds import AnglesWorld
 
@@ -117,6 +118,18 @@ LIMITS: dict[str, dict[str, Any]] = {
     "20 outliers": {"outliers": 20},
 }
 """What BDNLO is said to diverge on, and noise, as changes of a world of Levy et al."""
+
+CHOICES: dict[str, dict[str, dict[str, Any]]] = {
+    "sprang": {
+        "resolution 1.2 urad/s2": {},
+        "resolution 4 urad/s2": {"accelerometer": Accelerometer(resolution_rad_s2=4e-6)},
+    },
+    "levy": {
+        "white noise 5 urad": {},
+        "white noise 20 urad": LIMITS["white noise 20 urad"],
+    },
+}
+"""The two values that were chosen after the graph's coverage was seen, and what they replaced."""
 
 TIME_TAGS_S = (0.0, 1e-3, 10e-3, 50e-3)
 """Sprang's sweep of the error of time tags: limits of a uniform constant of each sensor."""
@@ -232,15 +245,37 @@ def graph_tables(
         yield f"{name}, {len(seeds)} trials:\n\n{table}"
 
 
+def _variant_tables(
+    name: str,
+    variants: Mapping[str, dict[str, Any]],
+    estimators: Sequence[str],
+    seeds: range,
+    workers: int,
+) -> Iterator[str]:
+    """Yield a table for each variant of a world, by what is other in it."""
+    for what, changes in variants.items():
+        table = world_table(variant(name, **changes), seeds, estimators, workers=workers)
+        yield f"{name}, {what}:\n\n{table}"
+
+
 def limits_tables(
     seeds: range, workers: int, worlds: Sequence[str] = tuple(WORLDS)
 ) -> Iterator[str]:
     """Yield tables of what BDNLO is said to diverge on."""
     names = (BASELINE, "BDNLO", GRAPH)
     for name in [name for name in worlds if name.startswith("levy")]:
-        for what, changes in LIMITS.items():
-            table = world_table(variant(name, **changes), seeds, names, workers=workers)
-            yield f"{name}, {what}:\n\n{table}"
+        yield from _variant_tables(name, LIMITS, names, seeds, workers)
+
+
+def choices_tables(
+    seeds: range, workers: int, worlds: Sequence[str] = tuple(WORLDS)
+) -> Iterator[str]:
+    """Yield tables of the baseline and the graph with the chosen and the replaced values."""
+    trials = f"{len(seeds)} trials from seed {seeds.start}"
+    for name in worlds:
+        study = CHOICES[name.partition("-")[0]]
+        variants = {f"{what}, {trials}": changes for what, changes in study.items()}
+        yield from _variant_tables(name, variants, (BASELINE, GRAPH), seeds, workers)
 
 
 def time_tag_tables(
@@ -248,17 +283,16 @@ def time_tag_tables(
 ) -> Iterator[str]:
     """Yield tables of the sweep of time-tag errors."""
     names = ("velocity, CI", BASELINE, GRAPH)
+    variants = {f"time tags to {1e3 * s:g} ms": {"clock_offset_s": s} for s in TIME_TAGS_S}
     for name in [name for name in worlds if name.startswith("sprang")]:
-        for limit in TIME_TAGS_S:
-            world = variant(name, clock_offset_s=limit)
-            table = world_table(world, seeds, names, workers=workers)
-            yield f"{name}, time tags to {1e3 * limit:g} ms:\n\n{table}"
+        yield from _variant_tables(name, variants, names, seeds, workers)
 
 
 TABLES: dict[str, Callable[[range, int, Sequence[str]], Iterator[str]]] = {
     "published": published_tables,
     "graph": graph_tables,
     "limits": limits_tables,
+    "choices": choices_tables,
     "time-tags": time_tag_tables,
 }
 

@@ -14,6 +14,9 @@ uniformly random times of which no two coincide, and measure azimuth and elevati
 the Earth-fixed frame. The object is in low orbit (the simple path), or driven by random forces in
 stages (the complicated one). We know both studies by their figures: heights of the orbits, length
 of a pass, white noise, forces and the resolution of the accelerometer are our choices, stated here.
+Two of them were changed after the graph's coverage had been seen: the resolution from 4 to
+1.2 urad/s^2, and the white noise of Levy et al.'s worlds from 20 to 5 urad.
+:data:`geograph.scenarios.angles_study.CHOICES` has both values, and docs/accuracy.md both figures.
 """
 
 from __future__ import annotations

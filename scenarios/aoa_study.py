@@ -203,7 +203,13 @@ def published_table(seeds: Sequence[int]) -> str:
     return "\n".join(lines)
 
 
-def smoothed_tables(final: int, sequences: int, first: int, ground: KnownGround) -> str:
+def smoothed_tables(
+    final: int,
+    sequences: int,
+    first: int,
+    ground: KnownGround,
+    rows: Sequence[str] = tuple(PUBLISHED),
+) -> str:
     """Return the factor graph's errors, and its consistency over time at 10 degrees, as Markdown.
 
     Parameters
@@ -214,6 +220,8 @@ def smoothed_tables(final: int, sequences: int, first: int, ground: KnownGround)
         Seed of the first run.
     ground
         How recordings know the ground.
+    rows
+        Names of scenarios.
     """
     from geograph.scenarios.aoa_smoothed import log_steps, smooth_prefixes
 
@@ -221,8 +229,8 @@ def smoothed_tables(final: int, sequences: int, first: int, ground: KnownGround)
     lines = _head([*titles, "sequence", "best printed", "bound"])
     shown = log_steps(SCENARIOS["1-10deg"].steps, PREFIXES)[:-1:2]
     consistency = _head(["scenario", *(f"{step / RATE_HZ:g} s" for step in shown)])
-    for name, published in PUBLISHED.items():
-        scenario = SCENARIOS[name]
+    for name in rows:
+        published, scenario = PUBLISHED[name], SCENARIOS[name]
         step = log_steps(scenario.steps, PREFIXES)
         some = range(first, first + min(sequences, final))
         several = smooth_prefixes(scenario, some, step=step, ground=ground)
@@ -311,6 +319,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="seed of the first run (0)")
     parser.add_argument("--table", choices=(*tables, "all"), default="all", help="which table")
     parser.add_argument(
+        "--rows",
+        nargs="+",
+        choices=tuple(PUBLISHED),
+        default=tuple(PUBLISHED),
+        help="of the factor graph's table (all)",
+    )
+    parser.add_argument(
         "--ground", choices=("terrain", "altitude"), default="terrain", help="how it is known"
     )
     options = parser.parse_args(arguments)
@@ -324,7 +339,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     made: dict[str, Callable[[], str]] = {
         "bounds": bounds_table,
         "published": lambda: published_table(seeds(options.runs)),
-        "smoothed": lambda: smoothed_tables(options.final, options.sequences, options.seed, ground),
+        "smoothed": lambda: smoothed_tables(
+            options.final, options.sequences, options.seed, ground, options.rows
+        ),
         "beyond": lambda: beyond_table(seeds(options.sequences), ground),
     }
     for name in tables if options.table == "all" else (options.table,):

@@ -33,13 +33,13 @@ POISON_DEG = 12.3456789
 NAMES = ("x_m", "y_m", "z_m")
 
 
-def raise_for_poison(equation):
+def raise_for_poison(equation, error=RuntimeError):
     """Return a measurement equation that raises for one measured azimuth."""
 
     def raising(sight, azimuth_rad, *arguments, **options):
         # A sensor's error may have been taken off.
         if (np.abs(azimuth_rad - np.radians(POISON_DEG)) < 1e-3).any():
-            raise RuntimeError("an exception inside a factor")
+            raise error("an exception inside a factor")
         return equation(sight, azimuth_rad, *arguments, **options)
 
     return raising

@@ -8,10 +8,15 @@ import logging
 import feeding
 import numpy as np
 import pytest
+from feed_faults import POISON_DEG, raise_for_poison
 from test_incremental import small_pass
 
 import geograph as gg
-from geograph.families import BearingFamily
+from geograph.families import BearingFamily, bearings
+from geograph.incremental.rows import TABLES, read
+from geograph.incremental.trial import try_rows
+from geograph.prepare import prepare
+from geograph.scenarios.radio_mixed import mixed
 
 
 @pytest.fixture
@@ -146,3 +151,52 @@ def test_motion_by_name_and_names_of_rows():
     assert feeding.differences(smoother.track(), gg.smooth(recording))[0] < 0.1
     name = gg.RowName("bearings", "S1", 2.5, 7)
     assert str(name) == "bearings of S1 at 2.5 s, line 7"
+
+
+@pytest.mark.parametrize("error", [RuntimeError, ZeroDivisionError])
+@pytest.mark.parametrize("places", [(0,), (7,), (2, 3, 11)])
+def test_what_raises_before_the_start_is_refused_by_itself(monkeypatch, error, places):
+    """Rows come one by one; those that raise are refused at once, and the rest starts alone."""
+    recording = small_pass(1)
+    rows = list(feeding.parts(recording, every=1))
+    raising = raise_for_poison(bearings.tangent_residual, error)
+    poison = np.radians([POISON_DEG])
+    monkeypatch.setattr(bearings, "tangent_residual", raising)
+    clean, faulty = (gg.IncrementalSmoother.of(recording) for _ in range(2))
+    for k, row in enumerate(rows[:60]):
+        clean.update(row)
+        if k in places:
+            bad = [dataclasses.replace(t, azimuth_rad=poison) for t in row]
+            with pytest.raises(gg.UpdateError, match="inside a factor"):
+                faulty.update(bad)
+        faulty.update(row)
+    assert faulty.estimate.status is gg.Tracking.TRACKING
+    same(picture(faulty), picture(clean))
+
+
+def test_every_kind_is_tried_without_a_path(monkeypatch):
+    """Rows of each kind pass alone, and do not where their evaluation raises."""
+    recording = mixed(1)
+    arrivals = gg.Arrivals(
+        emission=np.zeros(3, dtype=np.int64),
+        sensor=np.arange(3),
+        toa_s=np.array([5.0, 5.00001, 5.00002]),
+        sigma_s=np.full(3, 1e-7),
+        line=np.arange(3),
+    )
+    template = dataclasses.replace(recording, **dict.fromkeys(recording.tables))
+    tables = {**recording.tables, "arrivals": arrivals}
+    assert set(tables) == set(TABLES)
+    for kind, table in tables.items():
+        rows = read(table, sensors=len(recording.sensors), first=0, emission={})
+        try_rows(template, rows)
+        only = dataclasses.replace(template, **{kind: table})
+        (family,) = prepare(only).sensor_families()
+
+        def broken(*_arguments, **_options):
+            raise RuntimeError("inside a factor")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(type(family), "evaluate", broken)
+            with pytest.raises(RuntimeError, match="inside a factor"):
+                try_rows(template, rows)

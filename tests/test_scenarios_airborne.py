@@ -165,3 +165,15 @@ def test_bad_scenarios_are_refused() -> None:
         replace(SCENARIOS["1-5deg"], receivers=())
     with pytest.raises(ValueError, match="sigma of 120 degrees"):
         replace(SCENARIOS["1-5deg"], sigma_deg=120)
+
+
+@pytest.mark.parametrize(("name", "holds"), [("road", True), ("road-mountains", False)])
+def test_a_path_over_mountains_is_not_called_gaussian(name: str, holds: bool) -> None:
+    """Over ranges the end of the path bends with the ground, where its ellipse is too small."""
+    for recording in recordings(beyond()[name], range(2)):
+        track = gg.smooth(recording, raise_on_failure=False)
+        assert track.summary["gaussian"]["holds"] is holds
+        assert track.summary["gaussian"]["rise_at_one_sigma"] > 0.5
+        assert any("ellipsoids are too small" in s for s in track.summary["weakly_observed"]) == (
+            not holds
+        )

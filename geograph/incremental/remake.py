@@ -20,6 +20,7 @@ from geograph.incremental.start import (
     stretched,
 )
 from geograph.incremental.state import State, count_rows, note, recount, with_fixes
+from geograph.incremental.trial import try_rows
 
 if TYPE_CHECKING:
     from geograph.incremental.rows import Rows
@@ -43,6 +44,7 @@ def collect(state: State, rows: Rows) -> None:
     rows
         New ones, without duplicates.
     """
+    try_rows(state.template, rows)
     state.waiting = join([state.waiting, rows])
     held = count({k: c for k, c in state.waiting.items() if k in TABLES})
     if held < max(2, _PATIENCE * state.tried):
