@@ -2,63 +2,70 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geograph.checkup.corrections import CORRECTIONS, Correction, shift, shifts, small_numbers
-from geograph.checkup.findings import Finding, degrees_text
-from geograph.checkup.fits import against, meet, meet_at, tolerances, written
-from geograph.checkup.pairs import pair_miss
+from geograph.checkup.findings import Finding
+from geograph.checkup.fits import against, meet, tolerances
+from geograph.checkup.pairs import pair_miss, shift_misses
+from geograph.checkup.repairs import (
+    ALIKE,
+    Repair,
+    best_finding,
+    contradiction,
+    odd_times,
+    repair_finding,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from geograph.checkup.fits import Case, Meeting
-    from geograph.recording import Recording
 
 # A correction must make the misfit so many times smaller, ...
 _GAIN = 8.0
 # ... and, without one, a misfit must be as large as this to be called a contradiction.
 _CONTRADICTION_RAD = np.radians(2.0)
-# Corrections that look best against the others' path are tried with all sensors together.
+# Corrections that look best against the others' path are tried with all sensors together; so are
+# clock errors that bring two sensors' rays nearest.
 _TRIED = 3
+_TRIED_SHIFTS = 10
 # Clock errors within so many sigmas of the priors are no mistakes.
 _SIGMAS = 8.0
-# Repairs that differ by less than this factor do equally well.
-_ALIKE = 2.0
-# Spans of two sensors' times that differ by more hint at another unit.
-_ODD_TIMES = 300.0
-_TIME_UNITS = ("milliseconds", "seconds-as-milliseconds")
+# So many sensors, one left out, can be trusted to agree only if each of them is right.
+_MAJORITY = 3
 
 
-@dataclass(frozen=True, eq=False)
-class _Repair:
-    correction: Correction
-    sensors: tuple[int, ...]
-    before: float
-    after: float
+def check_bearings(whole: Meeting) -> list[Finding]:
+    """Return whose bearings do not meet those of the others, or seem to be radians.
 
-
-def check_bearings(recording: Recording) -> list[Finding]:
-    """Return whose bearings do not meet those of the others, or seem to be radians."""
-    case = written(recording)
-    if case is None:
-        return []
+    Parameters
+    ----------
+    whole
+        The bearings as written, and the path through them.
+    """
+    case = whole.case
     if len(case.active) < 2:
         return _lone(case)
-    whole = meet(case)
     strangers = [i for i in case.active if _apart(case, i)]
     if whole.excess <= 1.0 and not strangers:
         return []
     if _meet_in_pairs(case):
         return []
-    together = [] if _odd_times(case) or whole.excess <= 1.0 else _together(case, whole)
-    if together:
-        return [_best(case, together)]
-    return _two(case, whole) if len(case.active) == 2 else _several(case, whole, strangers)
+    kept = [i for i in case.active if i not in strangers]
+    rest = meet(case.only(kept)) if strangers and len(kept) > 1 else whole
+    without = _without_one(case, kept) if rest.excess > 1.0 and len(kept) > _MAJORITY else []
+    one = bool(without) and without[0][1].excess <= 1.0
+    if not (one or odd_times(case) or rest.excess <= 1.0):
+        together = _together(case, whole)
+        if together:
+            return [best_finding(case, together)]
+    if len(case.active) == 2:
+        return _two(case, whole)
+    return _several(whole, rest, without) if len(kept) > 1 else []
 
 
 def _lone(case: Case) -> list[Finding]:
@@ -80,9 +87,15 @@ def _lone(case: Case) -> list[Finding]:
 
 
 def _apart(case: Case, sensor: int) -> bool:
-    """Tell whether a sensor measured only when no other did."""
+    """Tell whether a sensor measured only when no other did, whatever clocks' priors allow.
+
+    One other sensor whose clock may be anything is no witness: the median prior of the others
+    counts.
+    """
     time, own = case.bearings.time_s, case.bearings.sensor == sensor
-    prior = 4.0 * max(s.errors.clock_offset_s for s in case.sensors)
+    clock = {i: case.sensors[i].errors.clock_offset_s for i in case.active}
+    others = float(np.median([clock[i] for i in case.active if i != sensor]))
+    prior = 4.0 * float(np.hypot(clock[sensor], others))
     low, high = float(time[own].min()) - prior, float(time[own].max()) + prior
     return not bool(((time[~own] >= low) & (time[~own] <= high)).any())
 
@@ -104,14 +117,6 @@ def _meet_in_pairs(case: Case) -> bool:
     )
 
 
-def _odd_times(case: Case) -> bool:
-    """Tell whether one sensor's times span hundreds of times more, or less, than the others'."""
-    time, sensor = case.bearings.time_s, case.bearings.sensor
-    spans = np.array([float(np.ptp(time[sensor == i])) for i in case.active])
-    spans = spans[spans > 0.0]
-    return bool(spans.size > 1 and spans.max() > _ODD_TIMES * spans.min())
-
-
 def _applied(case: Case, correction: Correction, sensors: Sequence[int]) -> Case | None:
     changed: Case | None = case
     for sensor in sensors:
@@ -123,7 +128,7 @@ def _repairs(before: float, after: float, meeting: Meeting) -> bool:
     return before > _GAIN * after and meeting.excess <= 2.0
 
 
-def _together(case: Case, whole: Meeting) -> list[_Repair]:
+def _together(case: Case, whole: Meeting) -> list[Repair]:
     """Return the mistakes that all sensors may share, each of which would explain it."""
     apart = any(_apart(case, i) for i in case.active)
     before = np.pi if apart else max(whole.misfit.values())
@@ -132,10 +137,12 @@ def _together(case: Case, whole: Meeting) -> list[_Repair]:
         changed = _applied(case, correction, case.active)
         if changed is None or (apart and any(_apart(changed, i) for i in case.active)):
             continue
+        if not case.effort.allows("mistakes that all sensors share"):
+            break
         meeting = meet(changed)
         after = max(meeting.misfit.values())
         if _repairs(before, after, meeting):
-            found.append(_Repair(correction, tuple(case.active), before, after))
+            found.append(Repair(correction, tuple(case.active), before, after))
     return found
 
 
@@ -150,18 +157,25 @@ def _candidates(case: Case, sensor: int) -> list[tuple[Correction, Case]]:
 
 
 def _shifts(case: Case, sensor: int) -> list[float]:
-    """Return clock errors beyond a sensor's prior that leave it times in common with others."""
+    """Return clock errors beyond a sensor's prior that leave it times in common with others.
+
+    Of two sensors' clock errors only those that bring their rays nearest.
+    """
     time, own = case.bearings.time_s, case.bearings.sensor == sensor
     low, high = float(time[~own].min()), float(time[~own].max())
     # What priors allow between a clock and the surest other one is the smoother's to find.
     prior = min(case.sensors[i].errors.clock_offset_s for i in case.active if i != sensor)
     least = max(_SIGMAS * np.hypot(case.sensors[sensor].errors.clock_offset_s, prior), 0.5)
-    return [
+    found = [
         seconds
         for seconds in shifts()
         if abs(seconds) > least
         and np.mean((time[own] + seconds >= low) & (time[own] + seconds <= high)) >= 0.5
     ]
+    if len(case.active) > 2 or len(found) <= _TRIED_SHIFTS:
+        return found
+    miss = shift_misses(case, sensor, found)
+    return [found[index] for index in np.argsort(miss, kind="stable")[:_TRIED_SHIFTS]]
 
 
 def _two(case: Case, whole: Meeting) -> list[Finding]:
@@ -174,45 +188,67 @@ def _two(case: Case, whole: Meeting) -> list[Finding]:
         for correction, changed in _candidates(case, sensor):
             if _apart(changed, sensor):
                 continue
-            shifted = correction.kind in ("clock-seconds", "time-zone")
-            meeting = meet_at(changed, whole.fit.clock_s) if shifted else meet(changed)
+            if not case.effort.allows(f"more mistakes of {case.sensors[sensor].name}"):
+                break
+            meeting = meet(changed)
             after = max(meeting.misfit.values())
             if _repairs(before, after, meeting):
-                found.append(_Repair(correction, (sensor,), before, after))
+                found.append(Repair(correction, (sensor,), before, after))
     if found:
-        return [_best(case, found)]
+        return [best_finding(case, found)]
     if before < np.pi and before > max(_CONTRADICTION_RAD, *tolerances(case).values()):
-        return [_contradiction(case, case.active, before)]
+        return [contradiction(case, case.active, before)]
     return []
 
 
-def _several(case: Case, whole: Meeting, strangers: Sequence[int]) -> list[Finding]:
-    """Return what is wrong with one sensor or more of at least three."""
-    kept, out = list(case.active), list(strangers)
-    kept = [i for i in kept if i not in out]
-    if len(kept) < 2:
-        return []
-    current = meet(case.only(kept)) if out else whole
+def _without_one(case: Case, kept: Sequence[int]) -> list[tuple[int, Meeting]]:
+    """Return how the others meet without each sensor in turn, the best first."""
+    trials = []
+    for sensor in kept:
+        if not case.effort.allows("which sensor contradicts the others"):
+            return []
+        trials.append((sensor, meet(case.only([other for other in kept if other != sensor]))))
+    return sorted(trials, key=lambda trial: trial[1].excess)
+
+
+def _several(
+    whole: Meeting, rest: Meeting, without: Sequence[tuple[int, Meeting]]
+) -> list[Finding]:
+    """Return what is wrong with one sensor or more of at least three.
+
+    Parameters
+    ----------
+    whole
+        All bearings, as written.
+    rest
+        Those of the sensors that share time with others.
+    without
+        How these meet without each in turn, if that is known.
+    """
+    case, current = whole.case, rest
+    kept = list(rest.case.active)
+    out = [i for i in case.active if i not in kept]
     choice: list[tuple[int, Meeting]] = []
     while current.excess > 1.0 and len(kept) > 2:
-        trials = [(i, meet(case.only([k for k in kept if k != i]))) for i in kept]
-        trials.sort(key=lambda trial: trial[1].excess)
+        trials = list(without) if current is rest and without else _without_one(case, kept)
+        if not trials:
+            break
         choice = [trial for trial in trials if trial[1].excess <= 1.0]
         sensor, current = trials[0]
         kept.remove(sensor)
         out.append(sensor)
     if current.excess > 1.0:
         worst = max(whole.misfit.values())
-        return [_contradiction(case, case.active, worst)] if worst > _CONTRADICTION_RAD else []
+        return [contradiction(case, case.active, worst)] if worst > _CONTRADICTION_RAD else []
     if len(out) == 1 and len(choice) > 1:
         return _one_of(case, choice)
     findings = []
     for sensor in out:
         repair, before = _against_path(case, sensor, current)
         if repair is not None:
-            findings.append(_finding(case, repair))
+            findings.append(repair_finding(case, repair))
         elif np.pi > before > _CONTRADICTION_RAD:
-            findings.append(_contradiction(case, [sensor], before))
+            findings.append(contradiction(case, [sensor], before))
     return findings
 
 
@@ -225,96 +261,35 @@ def _one_of(case: Case, choice: Sequence[tuple[int, Meeting]]) -> list[Finding]:
         if repair is not None:
             found.append(repair)
     if found:
-        return [_best(case, found)]
+        return [best_finding(case, found)]
     if worst > _CONTRADICTION_RAD:
-        return [_contradiction(case, [sensor for sensor, _ in choice], worst)]
+        return [contradiction(case, [sensor for sensor, _ in choice], worst)]
     return []
 
 
-def _against_path(case: Case, sensor: int, path: Meeting) -> tuple[_Repair | None, float]:
+def _against_path(case: Case, sensor: int, path: Meeting) -> tuple[Repair | None, float]:
     """Return the best repair of a sensor beside others that agree, and its misfit as written."""
     before = min(against(path, case, sensor), np.pi)
+    undone = f"mistakes of {case.sensors[sensor].name}"
     scored = []
     for correction, changed in _candidates(case.only([*path.case.active, sensor]), sensor):
+        if not case.effort.allows(undone):
+            break
         after = against(path, changed, sensor)
         if before > _GAIN * after:
             scored.append((after, correction, changed))
     least = min((entry[0] for entry in scored), default=0.0)
-    scored.sort(key=lambda entry: (not (entry[1].usual and entry[0] < _ALIKE * least), entry[0]))
-    found = []
+    scored.sort(key=lambda entry: (not (entry[1].usual and entry[0] < ALIKE * least), entry[0]))
+    found: list[Repair] = []
     for _, correction, changed in scored[:_TRIED]:
+        if found and not case.effort.allows(undone):
+            break
         meeting = meet(changed)
         after = meeting.misfit[sensor]
         if _repairs(before, after, meeting):
-            found.append(_Repair(correction, (sensor,), before, after))
+            found.append(Repair(correction, (sensor,), before, after))
     if not found:
         return None, before
     least = min(repair.after for repair in found)
-    usual = [r for r in found if r.correction.usual and r.after < _ALIKE * least]
+    usual = [r for r in found if r.correction.usual and r.after < ALIKE * least]
     return (usual or sorted(found, key=lambda repair: repair.after))[0], before
-
-
-def _best(case: Case, found: Sequence[_Repair]) -> Finding:
-    """Return the finding of the best repair, with up to two others that do as well."""
-    ordered = sorted(found, key=lambda repair: repair.after)
-    alike = [repair for repair in ordered if repair.after < _ALIKE * ordered[0].after]
-    # A stable sort: the usual mistake first, then the one that fits best.
-    odd = _odd_times(case)
-    alike.sort(key=lambda r: not (r.correction.usual or (odd and r.correction.kind in _TIME_UNITS)))
-    others = [r for r in alike[1:] if r.correction.kind != alike[0].correction.kind]
-    return _finding(case, alike[0], others[:2])
-
-
-def _names(case: Case, sensors: Sequence[int]) -> str:
-    return ", ".join(case.sensors[index].name for index in sensors)
-
-
-def _finding(case: Case, repair: _Repair, others: Sequence[_Repair] = ()) -> Finding:
-    whose = _names(case, repair.sensors)
-    after = degrees_text(np.degrees(repair.after))
-    if len(repair.sensors) > 1:
-        said = repair.correction.said(case, repair.sensors[0]).replace("its ", "their ")
-        said = f"{said} (all sensors alike)"
-        if repair.correction.place:
-            said += f"; that was {case.sensors[repair.sensors[0]].name}"
-    else:
-        said = repair.correction.said(case, repair.sensors[0])
-    if repair.before < np.pi:  # pi stands for "no time in common"
-        text = (
-            f"{said}, bearings of {whose} meet to {after} instead of "
-            f"{degrees_text(np.degrees(repair.before))}"
-        )
-    else:
-        text = (
-            f"{said}, bearings of {whose} meet those of the others to {after}; they share no time"
-        )
-    for other in others:
-        text += (
-            f"; or {_names(case, other.sensors)} {other.correction.said(case, other.sensors[0])}"
-        )
-    return Finding(
-        severity="problem",
-        kind=repair.correction.kind,
-        sensor=whose,
-        file="recording.toml" if repair.correction.place else "bearings",
-        text=text,
-        remedy=repair.correction.remedy,
-    )
-
-
-def _contradiction(case: Case, sensors: Sequence[int], misfit: float) -> Finding:
-    whose = _names(case, sensors)
-    if len(sensors) == 1:
-        text = f"{whose} contradicts all the others: its bearings miss their path by "
-    elif len(sensors) < len(case.active):
-        text = f"one of {whose} contradicts the others: bearings miss by "
-    else:
-        text = f"bearings of {whose} do not meet: they miss by "
-    return Finding(
-        severity="problem",
-        kind="contradiction",
-        sensor=whose,
-        file="recording.toml",
-        text=text + degrees_text(np.degrees(misfit)) + ", and no correction known here repairs it",
-        remedy="check the place, the axes, the clock and the target of the sensor",
-    )

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.checkup.effort import CountedGuess, Effort
 from geograph.frames import SensorGeometry
-from geograph.initialise import FirstGuess
 from geograph.lines import angle
 from geograph.prepare import without_refraction
 
@@ -18,14 +18,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from geograph.initialise import PathFit
+    from geograph.initialise import FirstGuess, PathFit
     from geograph.lines import Lines
     from geograph.measurements import Bearings
     from geograph.recording import Recording
     from geograph.sensors import Sensor
 
-# Bearings of each sensor that are looked at.
-_ROWS = 60
+# Bearings that are looked at: of all sensors together, and at most and at least of each.
+_ROWS = 600
+_MOST_ROWS, _FEWEST_ROWS = 60, 20
+
+# So few bearings do not determine more.
+_SEGMENTS = 64
 
 # The share of a sensor's bearings that must lie within what is called its misfit.
 SHARE = 0.7
@@ -35,14 +39,26 @@ _SIGMAS = 8.0
 _LEAST_RAD = np.radians(0.1)
 _CLOCK_STEPS = 41
 
+# Units of work of holding a sensor against a path.
+_OFFSET_WORK = 0.2
+
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Bearings and sensors, as written or as they would be with a correction."""
+    """Bearings and sensors, as written or as they would be with a correction.
+
+    Attributes
+    ----------
+    bearings, sensors, recording
+        Thinned and free of refraction; in the order of their indices; as read.
+    effort
+        Where work is counted, common to all cases of a check-up.
+    """
 
     bearings: Bearings
     sensors: tuple[Sensor, ...]
     recording: Recording
+    effort: Effort
 
     def only(self, chosen: Sequence[int]) -> Case:
         """Return the case with the bearings of some sensors."""
@@ -51,13 +67,15 @@ class Case:
 
     def finder(self) -> FirstGuess:
         """Return what fits paths to the case."""
-        return FirstGuess(
+        return CountedGuess(
             self.bearings,
             self.recording.constraints,
             self.sensors,
             SensorGeometry(self.sensors, self.recording.frame),
             self.recording.propagation_speed_m_s,
             self.recording.settings.motion == "static",
+            _SEGMENTS,
+            effort=self.effort,
         )
 
     @property
@@ -102,12 +120,20 @@ def written(recording: Recording) -> Case | None:
         return None
     sensors = tuple(recording.sensors.values())
     rows = []
-    for index in np.unique(table.sensor):
+    used = np.unique(table.sensor)
+    most = int(np.clip(_ROWS // used.size, _FEWEST_ROWS, _MOST_ROWS))
+    for index in used:
         own = np.flatnonzero(table.sensor == index)
         own = own[np.argsort(table.time_s[own], kind="stable")]
-        rows.append(own[np.unique(np.linspace(0, own.size - 1, _ROWS).round().astype(int))])
+        rows.append(own[np.unique(np.linspace(0, own.size - 1, most).round().astype(int))])
     table = without_refraction(taken(table, np.concatenate(rows)), sensors)
-    return Case(table, sensors, recording)
+    return Case(table, sensors, recording, Effort())
+
+
+def as_written(recording: Recording) -> Meeting | None:
+    """Return how a recording's bearings meet; None without any."""
+    case = written(recording)
+    return None if case is None else meet(case)
 
 
 def tolerances(case: Case) -> dict[int, float]:
@@ -131,15 +157,6 @@ def meet(case: Case) -> Meeting:
     return min(tried, key=lambda meeting: meeting.excess)
 
 
-def meet_at(case: Case, clock_s: NDArray[np.float64]) -> Meeting:
-    """Fit a path to all bearings of a case with given clocks."""
-    finder = case.finder()
-    fit, lines = finder.best_fit(clock_s), finder.lines(clock_s)
-    off = angles(fit, lines)
-    misfit = {i: float(np.quantile(off[lines.sensor == i], SHARE)) for i in case.active}
-    return Meeting(case, fit, misfit)
-
-
 def angles(fit: PathFit, lines: Lines) -> NDArray[np.float64]:
     """Return by how much lines of sight miss a path, shape (n,), radians."""
     low, high = float(fit.spline.t[0]), float(fit.spline.t[-1])
@@ -150,7 +167,7 @@ def angles(fit: PathFit, lines: Lines) -> NDArray[np.float64]:
     return angle(np.where(flat[:, None], level, sight), lines.direction)
 
 
-def against(path: Meeting, case: Case, sensor: int, shift_s: float = 0.0) -> float:
+def against(path: Meeting, case: Case, sensor: int) -> float:
     """Return the misfit of a sensor to the path of others, its clock searched over its prior.
 
     Parameters
@@ -161,8 +178,6 @@ def against(path: Meeting, case: Case, sensor: int, shift_s: float = 0.0) -> flo
         With the sensor's bearings.
     sensor
         Its index.
-    shift_s
-        Added to the sensor's times.
 
     Returns
     -------
@@ -175,10 +190,11 @@ def against(path: Meeting, case: Case, sensor: int, shift_s: float = 0.0) -> flo
     slack = 0.02 * (high - low)
     prior = case.sensors[sensor].errors.clock_offset_s
     offsets = prior * np.linspace(-4.0, 4.0, _CLOCK_STEPS) if prior > 0.0 else np.zeros(1)
+    case.effort.spend(_OFFSET_WORK * offsets.size)
     best = np.inf
     for offset in offsets:
         clock = np.zeros(len(case.sensors))
-        clock[sensor] = offset - shift_s
+        clock[sensor] = offset
         lines = finder.lines(clock)
         # Sound needs its time to arrive; light's does not show here.
         distance = np.linalg.norm(

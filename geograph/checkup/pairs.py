@@ -10,12 +10,17 @@ from geograph.checkup.fits import SHARE
 from geograph.lines import angle
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from geograph.checkup.fits import Case
     from geograph.lines import Lines
 
-_CLOCK_STEPS = 161
+# In a search for one difference of clocks, and for each of many.
+_CLOCK_STEPS, _SHIFT_STEPS = 161, 21
+# Units of work of holding all rays of two sensors against each other.
+_MISS_WORK = 0.2
 _COMMON = 0.25
 
 
@@ -26,16 +31,41 @@ def pair_miss(case: Case) -> float:
     differences of the two clocks within their priors, of which the best counts. Infinite where less
     than three, or a quarter, have a time in common, or a sensor has no elevations.
     """
-    first, second = case.active
-    finder = case.finder()
-    lines = finder.lines(np.zeros(len(case.sensors)))
+    return float(shift_misses(case, case.active[0], [0.0], _CLOCK_STEPS)[0])
+
+
+def shift_misses(
+    case: Case, sensor: int, shifts_s: Sequence[float], steps: int = _SHIFT_STEPS
+) -> NDArray[np.float64]:
+    """Return the angles within which most rays pass each other, for errors of one clock.
+
+    Parameters
+    ----------
+    case
+        Of two sensors.
+    sensor
+        To the times of which the seconds are added.
+    shifts_s
+        Seconds, of any number.
+    steps
+        In which the clocks' priors are searched about each.
+
+    Returns
+    -------
+    ndarray
+        One angle for each, radians; infinite as in :func:`pair_miss`.
+    """
+    other = next(index for index in case.active if index != sensor)
+    lines = case.finder().lines(np.zeros(len(case.sensors)))
     if lines.azimuth_only.any():
-        return float("inf")
-    one, other = _of(lines, first), _of(lines, second)
-    clocks = [case.sensors[i].errors.clock_offset_s for i in case.active]
-    prior = float(np.linalg.norm(clocks))
-    offsets = prior * np.linspace(-4.0, 4.0, _CLOCK_STEPS) if prior > 0.0 else np.zeros(1)
-    return min(_miss(one, other, float(offset)) for offset in offsets)
+        return np.full(len(shifts_s), np.inf)
+    own, others = _of(lines, sensor), _of(lines, other)
+    prior = float(np.linalg.norm([case.sensors[i].errors.clock_offset_s for i in case.active]))
+    offsets = prior * np.linspace(-4.0, 4.0, steps) if prior > 0.0 else np.zeros(1)
+    case.effort.spend(_MISS_WORK * offsets.size * len(shifts_s))
+    return np.array(
+        [min(_miss(own, others, shift + float(o)) for o in offsets) for shift in shifts_s]
+    )
 
 
 def _of(

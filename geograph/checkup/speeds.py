@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geograph.checkup.findings import Finding
-from geograph.checkup.fits import meet, written
 from geograph.factors.constraints import altitude
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.checkup.fits import Meeting
     from geograph.recording import Recording
 
 # Meteors reach 72 km/s. Below the least speed, over the least way, nothing is tracked but snails;
@@ -25,15 +25,19 @@ _LEAST_SPAN_S = 300.0
 _LOW_ORBIT_M = (120e3, 20e6)
 
 
-def check_speed(recording: Recording) -> list[Finding]:
+def check_speed(meeting: Meeting) -> list[Finding]:
     """Return whether times of all sensors seem to be in another unit.
 
     Only where the bearings meet: elsewhere the path means nothing.
+
+    Parameters
+    ----------
+    meeting
+        The bearings as written, and the path through them.
     """
-    case = written(recording)
-    if case is None or len(case.active) < 2 or recording.settings.motion == "static":
+    case, recording = meeting.case, meeting.case.recording
+    if len(case.active) < 2 or recording.settings.motion == "static":
         return []
-    meeting = meet(case)
     time = np.unique(case.bearings.time_s)
     if meeting.excess > 1.0 or time.size < 5:
         return []

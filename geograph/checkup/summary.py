@@ -6,15 +6,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geograph.checkup.fits import meet, written
 from geograph.lines import angle
 
 if TYPE_CHECKING:
+    from geograph.checkup.fits import Meeting
     from geograph.recording import Recording
 
 
-def summary(recording: Recording) -> dict[str, Any]:
+def summary_of(recording: Recording, whole: Meeting | None) -> dict[str, Any]:
     """Return spans, rates and numbers of every sensor and table, baselines and crossing angles.
+
+    Parameters
+    ----------
+    recording
+        As read.
+    whole
+        How its bearings meet (:func:`geograph.checkup.fits.as_written`).
 
     Returns
     -------
@@ -47,7 +54,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "frame": recording.frame,
         "tables": tables,
         "baselines_m": _baselines(recording, sorted(used)),
-        "crossing_deg": _crossing(recording),
+        "crossing_deg": _crossing(whole),
     }
 
 
@@ -61,11 +68,10 @@ def _baselines(recording: Recording, used: list[int]) -> list[float] | None:
     return [float(apart.min()), float(apart.max())]
 
 
-def _crossing(recording: Recording) -> list[float] | None:
-    case = written(recording)
-    if case is None or len(case.active) < 2:
+def _crossing(whole: Meeting | None) -> list[float] | None:
+    if whole is None or len(whole.case.active) < 2:
         return None
-    path = meet(case).fit
+    case, path = whole.case, whole.fit
     middle = np.asarray(path.spline(0.5 * (path.spline.t[0] + path.spline.t[-1])))
     when = np.array([float(np.median(case.bearings.time_s))])
     sight = np.stack([middle - case.sensors[i].position_at(when)[0] for i in case.active])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from geograph.checkup import doctor, summary
+from geograph.checkup import check
 from geograph.cli import FINDINGS, OK
 from geograph.io import read
 from geograph.results.write import json_text
@@ -25,7 +25,7 @@ def run_doctor(path: Path, *, json: bool) -> int:
         If the recording cannot be read.
     """
     recording = read(path)
-    found, facts = doctor(recording), summary(recording)
+    found, facts = check(recording)
     if json:
         print(json_text({**facts, "findings": [finding.facts() for finding in found]}))
     else:
