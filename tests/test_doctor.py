@@ -11,8 +11,9 @@ import pytest
 from small_recordings import write_signals, write_small
 
 import geograph as gg
-from geograph.checkup import summary
-from geograph.checkup.fits import taken
+from geograph.checkup import effort, summary
+from geograph.checkup.bearings import check_bearings
+from geograph.checkup.fits import as_written, taken
 from geograph.checkup.pairs import ray_miss
 from geograph.cli import main
 from geograph.geodesy import ecef_from_geodetic, geodetic_from_ecef
@@ -228,6 +229,11 @@ def test_simulated_recordings_are_healthy(scenario):
     assert [gg.doctor(scenario(seed)) for seed in range(11, 15)] == [[]] * 4
 
 
+@pytest.mark.parametrize("seed", [1000, 1014, 1029, 1048])
+def test_cameras_level_with_the_object_are_healthy(seed):
+    assert gg.doctor(mixed(seed)) == []
+
+
 @pytest.mark.parametrize("stations", [2, 3, 5])
 def test_passes_over_stations_are_healthy(stations):
     for seed in (11, 12, 13):
@@ -291,10 +297,37 @@ def test_sensors_that_hand_over_are_healthy():
         assert gg.doctor(dataclasses.replace(recording, bearings=taken(table, some))) == []
 
 
-@pytest.mark.parametrize("seed", [1000, 1014, 1029, 1048])
-def test_a_first_guess_that_goes_astray_is_no_finding(seed):
-    # Two cameras near the object: the first guess misses bearings that do meet.
-    assert gg.doctor(mixed(seed)) == []
+@pytest.mark.parametrize(("seed", "stations"), [(1002, 2), (1007, 4), (1014, 2)])
+def test_clocks_seconds_off_within_their_priors_are_healthy(seed, stations):
+    assert gg.doctor(ground_pass(seed, stations=stations)) == []
+
+
+def test_work_is_bounded_and_what_was_not_tried_is_said(monkeypatch):
+    rng = np.random.default_rng(4)
+    healthy = ground_pass(5, target="aircraft", stations=5)
+    wrong = turned(healthy, azimuth_rad=lambda a: rng.uniform(0.0, 2.0 * np.pi, a.size))
+    # The path as written alone takes about 700 units.
+    monkeypatch.setattr(effort, "_MOST", 1500.0)
+    whole = as_written(wrong)
+    first = whole.case.effort.spent
+    assert 100.0 < first < 1500.0
+    check_bearings(whole)
+    # A trial that was begun is finished; none is harder than the first fit of all.
+    assert 1500.0 <= whole.case.effort.spent < 1500.0 + 2.0 * first
+    found = gg.doctor(wrong)
+    assert [(entry.kind, entry.severity) for entry in found] == [
+        ("contradiction", "problem"),
+        ("not-tried", "note"),
+    ]
+    assert "which sensor contradicts the others, mistakes that all sensors share" in found[1].text
+
+
+def test_many_sensors_are_thinned():
+    recording = ground_pass(5, target="aircraft", stations=40, clock_offset_s=0.0)
+    case = as_written(recording).case
+    assert np.unique(case.bearings.sensor, return_counts=True)[1].tolist() == [20] * 40
+    case = as_written(aircraft()).case
+    assert np.unique(case.bearings.sensor, return_counts=True)[1].tolist() == [60] * 4
 
 
 def test_rays_miss_as_constructed():

@@ -69,8 +69,9 @@ def _findings(recording: Recording, whole: Meeting | None) -> list[Finding]:
         ]
     found = check_signals(recording)
     if whole is not None:
-        found += [*check_bearings(whole), *check_speed(whole)]
-        found += _undone(whole.case.effort.undone)
+        # Where a sensor's mistake is named, the speed of the path is that mistake's.
+        said = check_bearings(whole) or check_speed(whole)
+        found += [*said, *_undone(whole.case.effort.undone, named=bool(said))]
     # Angles in another unit than their sigmas' scatter by less.
     other = {
         name for entry in found if entry.kind == "radians" for name in entry.sensor.split(", ")
@@ -79,12 +80,12 @@ def _findings(recording: Recording, whole: Meeting | None) -> list[Finding]:
     return sorted(found, key=lambda finding: _ORDER.index(finding.severity))
 
 
-def _undone(names: list[str]) -> list[Finding]:
+def _undone(names: list[str], *, named: bool) -> list[Finding]:
     if not names:
         return []
     return [
         Finding(
-            severity="note",
+            severity="note" if named else "question",
             kind="not-tried",
             sensor="",
             file="bearings",
