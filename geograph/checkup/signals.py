@@ -108,10 +108,12 @@ def _arrivals(recording: Recording) -> list[Finding]:
     lag = table.toa_s[one] - table.toa_s[other]
     beyond = np.abs(lag) > limit + slack + noise
     pairs = np.stack([np.minimum(sensor, second), np.maximum(sensor, second)], axis=1)
-    bad = [tuple(p) for p in np.unique(pairs, axis=0) if _mostly(beyond, pairs, p)]
+    distinct, which = np.unique(pairs, axis=0, return_inverse=True)
+    share = np.bincount(which.ravel(), weights=beyond) / np.bincount(which.ravel())
+    bad = distinct[share >= _SHARE].tolist()
     if not bad:
         return []
-    counts = Counter(int(index) for pair in bad for index in pair)
+    counts = Counter(index for pair in bad for index in pair)
     worst, most = counts.most_common(1)[0]
     names = recording.sensor_names
     alone = len(bad) == most and (len(counts) > 2 or len(np.unique(table.sensor)) == 2)
@@ -144,10 +146,6 @@ def _pairs(emission: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.i
         one.append(group[first])
         other.append(group[second])
     return np.concatenate(one), np.concatenate(other)
-
-
-def _mostly(beyond: NDArray[np.bool_], pairs: NDArray[np.int64], pair: NDArray[np.int64]) -> bool:
-    return bool(beyond[(pairs == pair).all(axis=1)].mean() >= _SHARE)
 
 
 def _finding(sensor: str, file: str, text: str) -> Finding:
