@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from geograph import io as io
     from geograph.bound_grid import BoundMap, bound_map
     from geograph.bounds import PathBound, bound
+    from geograph.checkup import Finding, doctor
     from geograph.ellipsoids import Ellipsoids
     from geograph.errors import GeographError, InputError, SolveError, UpdateError
     from geograph.graph import GtsamGraph, build
@@ -63,6 +64,7 @@ __all__ = [
     "Constraints",
     "Ellipsoids",
     "Estimate",
+    "Finding",
     "FrequencyDifferences",
     "GeographError",
     "GtsamGraph",
@@ -92,6 +94,7 @@ __all__ = [
     "bound",
     "bound_map",
     "build",
+    "doctor",
     "read",
     "smooth",
     "write",
@@ -110,6 +113,7 @@ _HOMES = {
     "Constraints": "geograph.measurements",
     "Ellipsoids": "geograph.ellipsoids",
     "Estimate": "geograph.incremental.estimate",
+    "Finding": "geograph.checkup",
     "FrequencyDifferences": "geograph.measurements",
     "GeographError": "geograph.errors",
     "GtsamGraph": "geograph.graph",
@@ -138,6 +142,7 @@ _HOMES = {
     "bound": "geograph.bounds",
     "bound_map": "geograph.bound_grid",
     "build": "geograph.graph",
+    "doctor": "geograph.checkup",
     "read": "geograph.io",
     "smooth": "geograph.smoother",
     "write": "geograph.io",

@@ -2,7 +2,9 @@
 
 The sensors are taken one after another, the surest clocks first. Each new one's bearings are held
 against the path of the sensors before, over a grid of offsets; the first two, which have no path
-yet, are fitted together at every offset. The best few hypotheses are kept.
+yet, are fitted together at every offset. The grid is far coarser than what bearings tell about a
+clock, so that its minima are refined before they are compared: at the right offset a stiff path
+fits, next to it only a flexible one that leads anywhere. The best few hypotheses are kept.
 """
 
 from __future__ import annotations
@@ -11,11 +13,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from geograph.lines import angle, criteria, misfit
 from geograph.time_shift import centred
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from geograph.initialise import FirstGuess
@@ -26,6 +31,9 @@ _SEARCH_STEPS = 41
 _HYPOTHESES = 4
 _PATH_SAMPLES = 400
 _OFFSET_STEPS = 401
+# Minima are refined to this share of the grid's step, in at most so many evaluations.
+_REFINED_SHARE = 3e-3
+_REFINEMENTS = 12
 # A bearing further off than this many times the typical miss tells nothing about the clock.
 _MISS_LIMIT = 10.0
 
@@ -120,21 +128,23 @@ class ClockSearch:
         miss = angle(spline(grid)[None] - lines.sensor_m[:, None], lines.direction[:, None])
         floor = max(float(np.median(miss.min(axis=1))), float(np.median(lines.sigma[:, 0])))
         limit = (_MISS_LIMIT * floor) ** 2
-        offsets = np.linspace(-4.0, 4.0, _OFFSET_STEPS) * prior_s
-        misfit = np.empty(offsets.size)
-        for index, offset in enumerate(offsets):
+
+        def share(offset: float) -> float:
             time = lines.time_s - offset
             sight = spline(np.clip(time, low, high)) - lines.sensor_m
             square = np.minimum(angle(sight, lines.direction) ** 2, limit)
             square[(time < low) | (time > high)] = limit
-            misfit[index] = float(np.mean(square)) / limit
-        score = rows.size * np.log(misfit + 1e-6) + (offsets / prior_s) ** 2
+            return float(np.mean(square)) / limit
+
+        def score(offset: float) -> float:
+            return rows.size * float(np.log(share(offset) + 1e-6)) + (offset / prior_s) ** 2
+
         found = []
-        for index in _local_minima(score):
-            if misfit[index] < 0.5:
+        for value, offset in _deepest(score, np.linspace(-4.0, 4.0, _OFFSET_STEPS) * prior_s):
+            if share(offset) < 0.5:
                 trial = clock_s.copy()
-                trial[sensor] = offsets[index]
-                found.append((float(score[index]), trial))
+                trial[sensor] = offset
+                found.append((value, trial))
         return found
 
     def _search(
@@ -156,13 +166,43 @@ class ClockSearch:
             return misfit(attempts) + float(offset / prior_s[sensor]) ** 2
 
         grid = np.linspace(-3.0, 3.0, _SEARCH_STEPS) * prior_s[sensor]
-        values = np.array([score(float(offset)) for offset in grid])
         found = []
-        for index in _local_minima(values):
+        for value, offset in _deepest(score, grid):
             clocks = clock_s.copy()
-            clocks[sensor] = grid[index]
-            found.append((float(values[index]), clocks))
+            clocks[sensor] = offset
+            found.append((value, clocks))
         return found
+
+
+def _deepest(
+    score: Callable[[float], float], grid: NDArray[np.float64]
+) -> list[tuple[float, float]]:
+    """Return (value, place) of the deepest local minima of a function, deepest first.
+
+    Parameters
+    ----------
+    score
+        The function.
+    grid
+        Shape (n,), evenly spaced: where minima are looked for, each to be refined between its
+        neighbours.
+    """
+    values = np.array([score(float(place)) for place in grid])
+    step = float(grid[1] - grid[0])
+    found = []
+    for index in _local_minima(values):
+        place = float(grid[index])
+        refined = minimize_scalar(
+            score,
+            bounds=(place - step, place + step),
+            method="bounded",
+            options={"xatol": _REFINED_SHARE * step, "maxiter": _REFINEMENTS},
+        )
+        better = refined.fun < values[index]
+        found.append(
+            (float(refined.fun), float(refined.x)) if better else (float(values[index]), place)
+        )
+    return sorted(found)
 
 
 def _local_minima(values: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -38,9 +38,8 @@ _SUSPICIOUS_SHARE = 0.1
 _WEAK_PULL = 1e-6
 _STRONG_PULL = 1e-2
 
-_RANGE_ROUNDS = 6
+RANGE_ROUNDS = 6
 _RANGE_TOLERANCE = 1e-3
-_MOST_SEGMENTS = 256
 
 # The flexibility of the most flexible spline needs no more bearings than this.
 _MOST_BEARINGS = 6000
@@ -117,6 +116,8 @@ class FirstGuess:
         Speed of propagation.
     static
         Whether the object stands still.
+    most_segments
+        Of the most flexible spline.
     """
 
     bearings: Bearings
@@ -125,6 +126,7 @@ class FirstGuess:
     geometry: SensorGeometry
     speed_m_s: float
     static: bool
+    most_segments: int = 256
     heights: Heights | None = field(init=False)
 
     def __post_init__(self) -> None:
@@ -265,12 +267,12 @@ class FirstGuess:
         most = max(1, min(distinct, rows // 3))
         options = [(degree, 1) for degree in range(6)]
         segments = 4
-        while segments <= _MOST_SEGMENTS:
+        while segments <= self.most_segments:
             options.append((3, segments))
             segments *= 2
         return [option for option in options if option[0] + option[1] <= most] or [(0, 1)]
 
-    def fit(self, lines: Lines, degree: int, segments: int, rounds: int = _RANGE_ROUNDS) -> Attempt:
+    def fit(self, lines: Lines, degree: int, segments: int, rounds: int = RANGE_ROUNDS) -> Attempt:
         """Fit one spline, with ranges, light times and robust weights found by iteration."""
         low, high = float(lines.time_s.min()), float(lines.time_s.max())
         if not high > low:

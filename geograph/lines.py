@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from scipy.interpolate import BSpline
 
+# Median length of a vector of 0 to 3 standard normal components: the root of chi-square's median.
+_MEDIAN_LENGTH = np.sqrt([1.0, 0.454936, 1.386294, 2.365974])
+
 
 @dataclass(frozen=True, eq=False)
 class Lines:
@@ -89,8 +92,14 @@ def angle(sight: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray
 
 
 def bounded_squares(attempt: Attempt, limit: float) -> float:
-    """Return the sum of squared residuals, each bounded at the square of a limit."""
-    return float(np.minimum(attempt.normalised**2, limit**2).sum())
+    """Return the sum of squared residuals, each measurement's bounded.
+
+    The bound is the square of a limit for each of its components; they are taken together, so that
+    a measurement of which one component is met does not count as half explained.
+    """
+    table = attempt.normalised.reshape(len(attempt.normalised), -1)
+    most = limit**2 * np.count_nonzero(table, axis=1)
+    return float(np.minimum(np.sum(table**2, axis=1), most).sum())
 
 
 def misfit(attempts: Sequence[Attempt]) -> float:
@@ -105,10 +114,13 @@ def criteria(attempts: Sequence[Attempt]) -> NDArray[np.float64]:
     """Return the Bayesian information criterion of fits, their noise level unknown.
 
     Residuals are bounded at six times the scale of the tightest fit, so that outliers do not ask
-    for flexibility.
+    for flexibility. That scale allows for what the fit's own coefficients took from the residuals.
     """
-    scale = min(robust_scale(entry.normalised) for entry in attempts)
     rows = max(int(np.count_nonzero(attempts[0].normalised)), 2)
+    scale = min(
+        robust_scale(entry.normalised) * np.sqrt(rows / max(rows - entry.coefficients, 1))
+        for entry in attempts
+    )
     floor = 1e-12
     values = []
     for entry in attempts:
@@ -118,9 +130,25 @@ def criteria(attempts: Sequence[Attempt]) -> NDArray[np.float64]:
 
 
 def robust_scale(normalised: NDArray[np.float64]) -> float:
-    """Return the robust standard deviation of residuals (1.4826 median absolute value)."""
-    used = np.abs(normalised[normalised != 0.0])
-    return float(1.4826 * np.median(used)) if used.size else 0.0
+    """Return the robust standard deviation of residuals: the median size of a measurement's.
+
+    A path may meet one component of every measurement and miss the other, as a point level with
+    the sensors meets elevations alone: half of all components would then make any scale small. A
+    measurement with several components therefore counts once, by the length of its residual over
+    the median length of as many standard normal ones.
+
+    Parameters
+    ----------
+    normalised
+        Shape (n,) or (n, k), k up to 3: whitened residuals; zeros stand for what was not measured.
+    """
+    table = normalised.reshape(len(normalised), -1)
+    seen = np.count_nonzero(table, axis=1)
+    used = seen > 0
+    if not used.any():
+        return 0.0
+    length = np.linalg.norm(table[used], axis=1)
+    return float(np.median(length / _MEDIAN_LENGTH[seen[used]]))
 
 
 def robust_weights(normalised: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,7 +1,8 @@
 """The command line: ``geograph COMMAND ...``.
 
 Exit status: 0 converged; 1 something unexpected; 2 bad input, said in one line and nothing written;
-3 not converged or unobservable (results are written, and marked); 130 interrupted.
+3 not converged or unobservable (results are written, and marked); 4 ``doctor`` has something to
+object; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-OK, UNEXPECTED, BAD_INPUT, NOT_CONVERGED, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 3, 130, 141
+OK, UNEXPECTED, BAD_INPUT, NOT_CONVERGED, FINDINGS = 0, 1, 2, 3, 4
+INTERRUPTED, BROKEN_PIPE = 130, 141
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -10,6 +10,7 @@ import typer
 
 from geograph.cli.bound_command import bound
 from geograph.cli.convert_command import convert
+from geograph.cli.doctor_command import doctor
 from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotations
     Elimination,
     Loss,
@@ -185,3 +186,4 @@ def compare(
 app.command()(bound)
 app.command()(track)
 app.command()(convert)
+app.command()(doctor)
