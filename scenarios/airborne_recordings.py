@@ -24,12 +24,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from geograph.measurements import ConstraintKind
     from geograph.scenarios.airborne import Airborne
     from geograph.scenarios.landscape import Landscape
     from geograph.terrain import Terrain
 
 RecordedAxes = Literal["body", "enu"]
+
+_WATCHER_M = 1e6
 
 KnownGround = Literal["terrain", "altitude"]
 
@@ -44,7 +45,8 @@ RASTER = Raster.around((-4e3, -4e3), (14e3, 14e3))
 class Region:
     """Where the emitter may be at all: a wide normal distribution over ground.
 
-    A recording holds it as constraints on x and y at the first step.
+    A recording holds it as what it amounts to: one bearing straight down from a sensor a thousand
+    kilometres above the centre, whose sigma on the sky is that of the region seen from there.
 
     Parameters
     ----------
@@ -108,11 +110,11 @@ def recordings(
         yield Recording(
             name=f"{scenario.name}-{seed}",
             frame="local",
-            sensors=_sensors(scenario, axes),
+            sensors=_sensors(scenario, axes) | ({} if region is None else _watcher(region)),
             bearings=_bearings(
-                scenario, (azimuth + noise[0])[:used], (elevation + noise[1])[:used]
+                scenario, (azimuth + noise[0])[:used], (elevation + noise[1])[:used], region
             ),
-            constraints=_constraints(scenario, ground, region),
+            constraints=_held(scenario, ground),
             terrain=_terrain(scenario.terrain)
             if scenario.terrain_known and ground == "terrain"
             else None,
@@ -129,20 +131,34 @@ def _bearings(
     scenario: Airborne,
     azimuth: NDArray[np.float64],
     elevation: NDArray[np.float64],
+    region: Region | None,
 ) -> Bearings:
     steps, count = azimuth.shape
     rows = steps * count
     sigma = np.full(rows, scenario.sigma_rad)
-    return Bearings(
-        time_s=np.repeat(scenario.time_s[:steps], count),
-        sensor=np.tile(np.arange(count), steps),
-        azimuth_rad=azimuth.ravel(),
-        elevation_rad=elevation.ravel(),
-        sigma_azimuth_rad=sigma,
-        sigma_elevation_rad=np.full(rows, np.nan) if scenario.azimuth_only else sigma,
-        isotropic=np.zeros(rows, dtype=np.bool_),
-        line=np.zeros(rows, dtype=np.int64),
-    )
+    columns = {
+        "time_s": np.repeat(scenario.time_s[:steps], count),
+        "sensor": np.tile(np.arange(count), steps),
+        "azimuth_rad": azimuth.ravel(),
+        "elevation_rad": elevation.ravel(),
+        "sigma_azimuth_rad": sigma,
+        "sigma_elevation_rad": np.full(rows, np.nan) if scenario.azimuth_only else sigma,
+        "isotropic": np.zeros(rows, dtype=np.bool_),
+        "line": np.zeros(rows, dtype=np.int64),
+    }
+    if region is not None:
+        wide = region.sigma_m / _WATCHER_M
+        last = (scenario.time_s[0], count, 0.0, -np.pi / 2.0, wide, wide, True, 0)
+        columns = {
+            name: np.append(column, np.array(value, dtype=column.dtype))
+            for (name, column), value in zip(columns.items(), last, strict=True)
+        }
+    return Bearings(**columns)
+
+
+def _watcher(region: Region) -> dict[str, Sensor]:
+    place = np.array([*region.centre_m, _WATCHER_M])
+    return {"region": Sensor(name="region", position_m=place, axes="xyz")}
 
 
 def _sensors(scenario: Airborne, axes: RecordedAxes) -> dict[str, Sensor]:
@@ -162,28 +178,16 @@ def _sensors(scenario: Airborne, axes: RecordedAxes) -> dict[str, Sensor]:
     }
 
 
-def _constraints(
-    scenario: Airborne, ground: KnownGround, region: Region | None
-) -> Constraints | None:
-    """Return what holds the path to the ground, where it is known, and to a region."""
-    rows: list[tuple[float, ConstraintKind, float, float]] = []
-    if scenario.terrain_known and ground == "terrain":
-        rows.append((np.nan, "height_above_terrain_m", 0.0, GROUND_SIGMA_M))
-    elif scenario.terrain_known:
-        rows.append((np.nan, "altitude_m", scenario.target_m[2], GROUND_SIGMA_M))
-    if region is not None:
-        first = float(scenario.time_s[0])
-        rows.append((first, "x_m", region.centre_m[0], region.sigma_m))
-        rows.append((first, "y_m", region.centre_m[1], region.sigma_m))
-    if not rows:
+def _held(scenario: Airborne, ground: KnownGround) -> Constraints | None:
+    """Return what holds the path to the ground, where it is known."""
+    if not scenario.terrain_known:
         return None
-    time, kind, value, sigma = zip(*rows, strict=True)
     return Constraints(
-        time_s=np.array(time),
-        kind=kind,
-        value=np.array(value),
-        sigma=np.array(sigma),
-        line=np.zeros(len(rows), dtype=np.int64),
+        time_s=np.array([np.nan]),
+        kind=("height_above_terrain_m" if ground == "terrain" else "altitude_m",),
+        value=np.array([0.0 if ground == "terrain" else scenario.target_m[2]]),
+        sigma=np.full(1, GROUND_SIGMA_M),
+        line=np.zeros(1, dtype=np.int64),
     )
 
 
