@@ -1,4 +1,4 @@
-"""Constraints on the object itself: its height and its speed, with their gradients."""
+"""Constraints on the object itself: height, coordinate and speed, with their gradients."""
 
 from __future__ import annotations
 
@@ -31,6 +31,21 @@ def altitude(
     if frame == "local":
         return position_m[:, 2], np.broadcast_to([0.0, 0.0, 1.0], position_m.shape)
     return geodetic_from_ecef(position_m)[:, 2], enu_axes(position_m)[:, 2]
+
+
+def coordinate(
+    position_m: NDArray[np.float64], axis: Literal[0, 1, 2]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return one coordinate, shape (n,), metres, and its gradients by position, shape (n, 3).
+
+    Parameters
+    ----------
+    position_m
+        Shape (n, 3), in the frame.
+    axis
+        Which: x, y or z of the frame.
+    """
+    return position_m[:, axis], np.broadcast_to(np.eye(3)[axis], position_m.shape)
 
 
 def speed(

@@ -21,7 +21,8 @@ from scipy.interpolate import BSpline
 from geograph.clock_search import ClockSearch
 from geograph.errors import InputError
 from geograph.factors.constraints import altitude
-from geograph.lines import Attempt, Lines, Rows, criteria, robust_weights, weighted_lines
+from geograph.known_coordinates import Coordinates
+from geograph.lines import Attempt, Lines, Rows, criteria, robust_weights, stacked, weighted_lines
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,6 +50,9 @@ _MOST_BEARINGS = 6000
 _NOMINAL_RANGE_M = 100e3
 _NOMINAL_BASELINES = 10.0
 _NOMINAL_LOCAL_RANGE_M = 10e3
+
+# A height of the whole path is put at this many times.
+_WHOLE_TIMES = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +111,7 @@ class FirstGuess:
     bearings
         The table, elevations free of refraction.
     constraints
-        Known heights, or None.
+        Known heights and coordinates, or None.
     sensors
         In the order of their indices.
     geometry
@@ -128,10 +132,12 @@ class FirstGuess:
     static: bool
     most_segments: int = 256
     heights: Heights | None = field(init=False)
+    coordinates: Coordinates = field(init=False)
 
     def __post_init__(self) -> None:
         self._pull = _WEAK_PULL
         self.heights = self._known_heights()
+        self.coordinates = Coordinates.of(self.constraints)
         self._nominal = self._nominal_range()
 
     def _known_heights(self) -> Heights | None:
@@ -143,7 +149,7 @@ class FirstGuess:
             return None
         time, value, sigma = table.time_s[rows], table.value[rows], table.sigma[rows]
         whole = np.isnan(time)
-        span = np.linspace(self.bearings.time_s.min(), self.bearings.time_s.max(), 20)
+        span = np.linspace(self.bearings.time_s.min(), self.bearings.time_s.max(), _WHOLE_TIMES)
         count = int(whole.sum())
         return Heights(
             np.concatenate([time[~whole], np.tile(span, count)]),
@@ -293,8 +299,8 @@ class FirstGuess:
             coefficients = weighted_lines(
                 basis, lines, white * np.sqrt(weight)[:, None], anchor, self._outward(basis, lines)
             )
-            if self.heights is not None:
-                coefficients = self._with_heights(
+            if self.heights is not None or len(self.coordinates):
+                coefficients = self._with_known(
                     BSpline(knots, coefficients, degree), basis, lines, white=white, anchor=anchor
                 )
             sight = basis @ coefficients - lines.sensor_m
@@ -325,7 +331,7 @@ class FirstGuess:
             lines.sensor_m.mean(axis=0) + self._nominal * lines.direction.mean(axis=0)
         )
 
-    def _with_heights(
+    def _with_known(
         self,
         spline: BSpline,
         basis: NDArray[np.float64],
@@ -334,9 +340,14 @@ class FirstGuess:
         white: NDArray[np.float64],
         anchor: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Solve again with heights linearised about the path so far."""
-        heights = self.heights
-        assert heights is not None
+        """Solve again with coordinates, and heights linearised about the path so far."""
+        parts = [self.coordinates.rows(spline)] if len(self.coordinates) else []
+        if self.heights is not None:
+            parts.append(self._height_rows(spline, lines, self.heights))
+        known = stacked(parts)
+        return weighted_lines(basis, lines, white, anchor, self._outward(basis, lines), known)
+
+    def _height_rows(self, spline: BSpline, lines: Lines, heights: Heights) -> Rows:
         inside = np.clip(heights.time_s, spline.t[0], spline.t[-1])
         at = BSpline.design_matrix(inside, spline.t, spline.k).toarray()
         position = np.asarray(spline(inside))
@@ -344,8 +355,7 @@ class FirstGuess:
             position = np.broadcast_to(lines.sensor_m.mean(axis=0), position.shape).copy()
         height, up = altitude(position, self.geometry.frame)
         target = np.einsum("nc,nc->n", up, position) - height + heights.value
-        known = Rows(at, up, target, 1.0 / heights.sigma)
-        return weighted_lines(basis, lines, white, anchor, self._outward(basis, lines), known)
+        return Rows(at, up, target, 1.0 / heights.sigma)
 
     def _outward(self, basis: NDArray[np.float64], lines: Lines) -> Rows:
         """Return the weak wish that the object be in front of the sensors, at a nominal distance.

@@ -59,6 +59,16 @@ class Rows:
     weight: NDArray[np.float64]
 
 
+def stacked(parts: Sequence[Rows]) -> Rows:
+    """Return the rows of all parts, at least one."""
+    return Rows(
+        np.concatenate([part.functions for part in parts]),
+        np.concatenate([part.direction for part in parts]),
+        np.concatenate([part.value for part in parts]),
+        np.concatenate([part.weight for part in parts]),
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Attempt:
     """One fit: the path, whitened residuals (n, 2), and how flexible it is.

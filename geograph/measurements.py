@@ -16,7 +16,7 @@ from geograph.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-ConstraintKind = Literal["altitude_m", "height_above_terrain_m", "speed_m_s"]
+ConstraintKind = Literal["altitude_m", "height_above_terrain_m", "speed_m_s", "x_m", "y_m", "z_m"]
 """Kinds of ``constraints.csv`` that this version understands."""
 
 
@@ -214,8 +214,8 @@ class Constraints:
         Shape (n,); NaN: along the whole path.
     kind
         Shape (n,): ``"altitude_m"`` (height above the ellipsoid, z in a local frame),
-        ``"height_above_terrain_m"`` (above the ground of the recording's terrain) or
-        ``"speed_m_s"``.
+        ``"height_above_terrain_m"`` (above the ground of the recording's terrain),
+        ``"speed_m_s"``, or ``"x_m"``, ``"y_m"``, ``"z_m"`` (coordinates in its frame).
     value, sigma
         Shape (n,): in the unit of the kind.
     line

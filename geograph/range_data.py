@@ -304,7 +304,9 @@ def _heights(recording: Recording) -> Heights:
     nothing = np.zeros(0)
     if table is None:
         return Heights(nothing, nothing, nothing)
-    rows = np.array([kind == "altitude_m" for kind in table.kind], dtype=bool)
+    # In a local frame z is the height.
+    kinds = ("altitude_m", "z_m") if recording.frame == "local" else ("altitude_m",)
+    rows = np.array([kind in kinds for kind in table.kind], dtype=bool)
     time, value, sigma = table.time_s[rows], table.value[rows], table.sigma[rows]
     whole = np.isnan(time)
     low, high = recording.time_span_s

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from geograph.ground import Crossings
     from geograph.initialise import FirstGuess
+    from geograph.known_coordinates import Coordinates
     from geograph.lines import Lines
     from geograph.measurements import Constraints
     from geograph.recording import Recording
@@ -111,15 +112,20 @@ def terrain_fits(finder: FirstGuess, terrain: Terrain, height_m: float) -> list[
     met = crossings(lines.sensor_m[few], lines.direction[few], terrain, height_m=height_m)
     if not met.ray.size and few.size < level.size:
         met = crossings(lines.sensor_m[level], lines.direction[level], terrain, height_m=height_m)
-    if not met.ray.size:
+    # One that moves need not be elsewhere where it is known to be at one time.
+    known = finder.coordinates if finder.static else finder.coordinates.whole()
+    told = known.place(terrain.frame)
+    if not met.ray.size and told.size and not finder.static:
+        return []
+    if not met.ray.size and not told.size:
         raise InputError(
             f"none of {level.size} bearings looked at meets the terrain within "
             f"{terrain.extent_text()}, to which the object is held {height_m:g} m above ground; "
             "check axes, signs of the elevations, heights and the extent of the raster, or remove "
             "the constraint"
         )
-    search = _Search(lines, terrain, height_m, count / pick.size)
-    places, cost = search.minima(met.position_m)
+    search = _Search(lines, terrain, height_m, count / pick.size, known)
+    places, cost = search.minima(np.concatenate([met.position_m, told]))
     if finder.static:
         return [_standing(lines, place, score) for place, score in zip(places, cost, strict=True)]
     return [_moving(finder, lines, met, level, place) for place in places]
@@ -170,15 +176,21 @@ class _Search:
         The ground, and the object's height above it.
     share
         Bearings in all for each of these.
+    known
+        Coordinates of the place that are known.
     """
 
     lines: Lines
     terrain: Terrain
     height_m: float
     share: float
+    known: Coordinates
 
     def residuals(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return angles across the lines over sigma, shape (p, n, 2), for places (p, 3)."""
+        """Return angles across the lines over sigma, shape (p, n + c, 2), for places (p, 3).
+
+        The last c are the misfits of known coordinates, with nothing in the second column.
+        """
         lines = self.lines
         sight = place[:, None] - lines.sensor_m
         away = np.maximum(np.linalg.norm(sight, axis=2), 1e-6)
@@ -186,7 +198,13 @@ class _Search:
         along = np.einsum("nc,pnc->pn", lines.direction, sight) / away
         sine = np.maximum(np.linalg.norm(across, axis=2), 1e-12)
         angle = np.arctan2(sine, along)
-        return np.asarray(across * (angle / sine)[..., None] / lines.sigma)
+        turned = across * (angle / sine)[..., None] / lines.sigma
+        misfit = (place @ self.known.axis.T - self.known.value) * self._known_weight()
+        return np.concatenate([turned, _first_of_two(misfit)], axis=1)
+
+    def _known_weight(self) -> NDArray[np.float64]:
+        # Each counts once, whatever share of the bearings is looked at.
+        return np.asarray(1.0 / (self.known.sigma * np.sqrt(self.share)))
 
     def cost(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return bounded costs, shape (p,)."""
@@ -275,7 +293,7 @@ class _Search:
         return place, cost
 
     def _slopes(self, place: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return about the residuals' derivatives by east and north, shape (p, n, 2, 2).
+        """Return about the residuals' derivatives by east and north, shape (p, n + c, 2, 2).
 
         Steps follow the slope of the ground.
         """
@@ -289,4 +307,10 @@ class _Search:
         across = np.einsum("nkc,pic->pnki", self.lines.across, tangent)
         value = np.einsum("nkc,pnc->pnk", self.lines.across, sight) / away[..., None] ** 2
         across -= value[..., None] * np.einsum("pnc,pic->pni", sight, tangent)[:, :, None]
-        return np.asarray(across / (self.lines.sigma * away[..., None])[..., None])
+        across /= (self.lines.sigma * away[..., None])[..., None]
+        known = np.einsum("mc,pic,m->pmi", self.known.axis, tangent, self._known_weight())
+        return np.concatenate([across, np.stack([known, np.zeros_like(known)], axis=2)], axis=1)
+
+
+def _first_of_two(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([value, np.zeros_like(value)], axis=2)

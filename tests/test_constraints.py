@@ -6,7 +6,7 @@ from differences import assert_derivative
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geograph.factors.constraints import altitude, speed
+from geograph.factors.constraints import altitude, coordinate, speed
 from geograph.geodesy import ecef_from_geodetic
 
 PROFILE = settings(max_examples=60, deadline=None, derandomize=True)
@@ -37,6 +37,17 @@ def test_altitude_in_a_local_frame_is_z():
     value, gradient = altitude(np.array([[1.0, 2.0, 3.0], [4.0, 5.0, -6.0]]), "local")
     np.testing.assert_array_equal(value, [3.0, -6.0])
     np.testing.assert_array_equal(gradient, [[0.0, 0.0, 1.0]] * 2)
+
+
+@PROFILE
+@given(st.tuples(*[st.floats(-7e6, 7e6)] * 3), st.sampled_from([0, 1, 2]))
+def test_coordinate(position, axis):
+    position = np.array(position)
+    value, gradient = coordinate(position[None], axis)
+    assert value[0] == position[axis]
+    assert_derivative(
+        gradient[0][None], lambda at: coordinate(at[None], axis)[0], position, 1e3, rtol=1e-9
+    )
 
 
 @PROFILE

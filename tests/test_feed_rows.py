@@ -54,6 +54,7 @@ def use(*values, speed=3e8):
         (TDOA, "time_differences"),
         (FDOA | {"sigma_reference_hz": None}, "frequency_differences"),
         ({"time_s": None, "kind": "altitude_m", "value": 3.0, "sigma": 1.0}, "constraints"),
+        ({"time_s": 4.0, "kind": "x_m", "value": -3.0, "sigma": 1.0}, "constraints"),
     ],
 )
 def test_the_kind_follows_from_the_columns_or_is_given(value, table):

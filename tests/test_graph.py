@@ -36,6 +36,19 @@ def constrained(seed):
     return replace(recording, constraints=table)
 
 
+def placed(seed):
+    """A source of sound whose x is known at one instant, and y and z over the whole path."""
+    recording = room(seed, order=2, sensors=3, bearings=20)
+    table = Constraints(
+        time_s=np.array([recording.bearings.time_s[5], np.nan, np.nan]),
+        kind=("x_m", "y_m", "z_m"),
+        value=recording.truth.position_m.mean(axis=0),
+        sigma=np.array([0.5, 2.0, 1.0]),
+        line=np.zeros(3, dtype=np.int64),
+    )
+    return replace(recording, constraints=table)
+
+
 RECORDINGS = {
     "walks, light, satellites": lambda: low_orbit_pass(1, sensors=3, bearings=25),
     "free fall, ground": lambda: low_orbit_pass(
@@ -46,6 +59,7 @@ RECORDINGS = {
         4, target="aircraft", stations=3, bearings=25, drift_rad_s=1e-5, clock_drift_s_s=1e-3
     ),
     "known height and speed": lambda: constrained(5),
+    "known coordinates": lambda: placed(10),
     "sound, order 1": lambda: room(6, order=1, sensors=3, bearings=20),
     "sound, order 2": lambda: room(7, order=2, sensors=3, bearings=20, clock_offset_s=0.02),
     "sound, order 3": lambda: room(8, order=3, sensors=3, bearings=20),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -86,6 +87,17 @@ def known_height(sigma: float) -> gg.Constraints:
     )
 
 
+def region(time_s: float = np.nan) -> gg.Constraints:
+    """Return where the target is in plan, 5 m and 7 m off by a sigma of 10 m each."""
+    return gg.Constraints(
+        time_s=np.full(2, time_s),
+        kind=("x_m", "y_m"),
+        value=TARGET[:2] + np.array([5.0, -7.0]),
+        sigma=np.full(2, 10.0),
+        line=np.arange(2) + 2,
+    )
+
+
 def within(track: gg.Track, truth: Any, *, sigmas: float = 4.5) -> None:
     """Assert that every knot lies inside the ellipsoid of the given radius."""
     error = track.position_m - truth
@@ -101,6 +113,33 @@ def test_static_object_is_one_knot() -> None:
     assert abs(track.summary["chi2"] - track.summary["degrees_of_freedom"]) < 4.0 * np.sqrt(2 * 117)
     later = track.at([1e3])
     np.testing.assert_array_equal(later.position_m[0], track.position_m[0])
+
+
+@pytest.mark.parametrize("time_s", [np.nan, 3.0])
+def test_a_region_alone_resolves_the_range_of_a_single_sensor(time_s: float) -> None:
+    seen = recording(still, range(10), sites=(0,), constraints=region(time_s), motion="static")
+    track = gg.smooth(seen)
+    assert str(track.status) == "converged"
+    within(track, TARGET)
+    # Along the line in plan both constraints are one of 10 m; across it bearings are far better.
+    sight = TARGET - SITES[0]
+    plan = sight[:2] / np.linalg.norm(sight[:2])
+    along = plan @ track.position_covariance_m2[0, :2, :2] @ plan
+    assert np.sqrt(along) == pytest.approx(10.0, rel=1e-3)
+
+
+def test_a_region_adds_its_information_to_the_estimate_and_the_bound() -> None:
+    for given in (gg.smooth, gg.bound):
+        information = []
+        for known in (None, region()):
+            seen = recording(still, range(40), sigma=5e-3, constraints=known, motion="static")
+            truth = gg.Truth(time_s=np.zeros(1), position_m=TARGET[None])
+            found = given(replace(seen, truth=truth))
+            information.append(np.linalg.inv(found.position_covariance_m2[0]))
+        added = information[1] - information[0]
+        # The bearings' own changes a little with the estimate.
+        slack = 1e-3 if given is gg.smooth else 1e-6
+        np.testing.assert_allclose(added, np.diag([0.01, 0.01, 0.0]), atol=slack)
 
 
 def test_static_object_seen_by_a_walking_sensor() -> None:

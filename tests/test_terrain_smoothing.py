@@ -178,6 +178,43 @@ def test_one_ray_over_ridges_keeps_every_hypothesis_with_its_weight():
     assert "weight 0." in sentences[0]
 
 
+def in_a_region(recording, place, sigma):
+    held = recording.constraints
+    both = Constraints(
+        time_s=np.append(held.time_s, [np.nan, np.nan]),
+        kind=(*held.kind, "x_m", "y_m"),
+        value=np.append(held.value, place[:2]),
+        sigma=np.append(held.sigma, [sigma, sigma]),
+        line=np.append(held.line, [3, 4]),
+    )
+    return replace(recording, constraints=both)
+
+
+def test_a_region_chooses_between_the_slopes_that_a_ray_meets():
+    target = np.array([1350.0, 0.0, ridges(1350.0, 0.0) + 2.0])
+    seen = standing(*mast([0.0, 0.0, 60.0], target, 0.2), RIDGES)
+    track = gg.smooth(in_a_region(seen, target + np.array([20.0, 0.0, 0.0]), 30.0))
+    assert str(track.status) == "converged"
+    # Without it there are six, and none of them is certain. The next slope is 7 sigmas away.
+    assert track.summary["hypotheses"][0]["weight"] > 0.999
+    error = track.position_m[0] - target
+    assert error @ np.linalg.solve(track.position_covariance_m2[0], error) < chi2.isf(1e-4, 3)
+
+
+def test_a_region_is_a_first_guess_where_no_ray_meets_the_ground():
+    # Seen far too high, by five sigmas: above all of the ground.
+    target = np.array([1350.0, 0.0, ridges(1350.0, 0.0) + 2.0])
+    sensor, bearings = mast([0.0, 0.0, 400.0], target, 3.0, count=1)
+    bearings = replace(bearings, elevation_rad=np.full(1, np.radians(10.0)))
+    seen = standing(sensor, bearings, RIDGES)
+    with pytest.raises(InputError, match="meets the terrain"):
+        gg.smooth(seen)
+    track = gg.smooth(in_a_region(seen, target, 30.0), raise_on_failure=False)
+    assert np.linalg.norm(track.position_m[0, :2] - target[:2]) < 150.0
+    height = RIDGES.elevation(track.position_m[:1])[0] + 2.0
+    assert track.position_m[0, 2] == pytest.approx(height[0], abs=25.0)
+
+
 def wedge(seed=1):
     """One second of a flight, bearings of 10 degrees: a posterior that is no ellipse."""
     flights = [straight([200.0, 200.0, 1000.0], 20.0, 60.0, 1.0, rate=10.0)]

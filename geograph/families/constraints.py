@@ -1,12 +1,12 @@
-"""What is known of the path itself: its height, above ellipsoid or ground, and its speed."""
+"""What is known of the path itself: height above ellipsoid or ground, coordinates, speed."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from geograph.factors.constraints import altitude, speed
+from geograph.factors.constraints import altitude, coordinate, speed
 from geograph.factors.terrain import height_above_terrain
 from geograph.families.base import Evaluation, Family, Values, path_only_evaluation
 
@@ -112,6 +112,47 @@ class AltitudeFamily(_ConstraintFamily):
         return path_only_evaluation(residual, place.interval, state.chain(place, rows, None))
 
 
+class CoordinateFamily(_ConstraintFamily):
+    """A coordinate in the recording's frame, metres."""
+
+    axis: ClassVar[Literal[0, 1, 2]]
+
+    def evaluate(
+        self, path: Path, state: PathState, values: Values, *, jacobian: bool
+    ) -> Evaluation:
+        """Evaluate all constraints at one point."""
+        del values
+        place = path.locate(self.time_s)
+        position, _ = state.position_velocity(place)
+        predicted, gradient = coordinate(position, self.axis)
+        residual = ((predicted - self.value) / self.sigma)[:, None]
+        if not jacobian:
+            return path_only_evaluation(residual, place.interval, None)
+        rows = (gradient / self.sigma[:, None])[:, None, :]
+        return path_only_evaluation(residual, place.interval, state.chain(place, rows, None))
+
+
+class XFamily(CoordinateFamily):
+    """x in the recording's frame, metres."""
+
+    name = "x_m"
+    axis = 0
+
+
+class YFamily(CoordinateFamily):
+    """y in the recording's frame, metres."""
+
+    name = "y_m"
+    axis = 1
+
+
+class ZFamily(CoordinateFamily):
+    """z in the recording's frame, metres."""
+
+    name = "z_m"
+    axis = 2
+
+
 class SpeedFamily(_ConstraintFamily):
     """Speed in the recording's frame, metres per second."""
 
@@ -157,6 +198,7 @@ class TerrainFamily(_ConstraintFamily):
 
 
 CONSTRAINT_FAMILIES = {
-    family.name: family for family in (AltitudeFamily, SpeedFamily, TerrainFamily)
+    family.name: family
+    for family in (AltitudeFamily, SpeedFamily, TerrainFamily, XFamily, YFamily, ZFamily)
 }
 """Families by the kind of constraint in their table."""

@@ -134,7 +134,7 @@ def _height_held(recording: Recording) -> bool:
     if recording.frame != "local" or held is None:
         return False
     pairs = zip(held.kind, held.time_s, strict=True)
-    return any(kind == "altitude_m" and np.isnan(time) for kind, time in pairs)
+    return any(kind in ("altitude_m", "z_m") and np.isnan(time) for kind, time in pairs)
 
 
 def _emissions(recording: Recording) -> dict[tuple[str, float], str]:
