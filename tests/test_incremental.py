@@ -105,6 +105,27 @@ def test_a_lag_keeps_the_newest_knot(seed):
     np.testing.assert_allclose(estimate.covariance, reference, rtol=0.05, atol=1e-6)
 
 
+def test_a_lag_waits_for_clocks(tmp_path):
+    """Cameras whose clocks are seconds off: nothing is let go before these are known."""
+    recording = gg.read(write_example("winchcombe", tmp_path / "winchcombe")[0])
+    batch = gg.smooth(recording)
+    lag = 20 * recording.settings.spacing_s
+    smoother = gg.IncrementalSmoother.of(recording, lag=lag)
+    feeding.feed(smoother, recording, every=60)
+    assert feeding.newest_sigmas(smoother.estimate, batch) < NEWEST
+    assert smoother.estimate.late_count == 0
+
+
+def test_a_lag_is_no_longer_than_said_where_sensors_are_known():
+    recording = small_pass(1)
+    lag = 5 * recording.settings.spacing_s
+    smoother = gg.IncrementalSmoother.of(recording, lag=lag)
+    feeding.feed(smoother, recording, every=4)
+    chain = smoother._state.chain
+    assert not smoother._state.limits.unsure().any()
+    assert chain.knots_s[-1] - chain.knots_s[1] <= lag
+
+
 @pytest.mark.parametrize("lag", [None, 20.0])
 def test_random_order_and_duplicates_change_nothing(lag):
     recording = small_pass(1)

@@ -15,6 +15,7 @@ from geograph.incremental.room import assign, emission_times, make_room
 from geograph.incremental.rows import FIXES, choose, count, join
 from geograph.incremental.state import State, count_rows, mark, recount, with_fixes
 from geograph.robust import plain_limits
+from geograph.states import CLOCK, NO_SENSOR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,6 +40,11 @@ _CHECK_PART = 0.1
 
 # Share of the measurements that do not fit, at which a new first guess is made.
 _CONTRADICTED = 0.1
+
+# A lag is stretched by this while sensors are not known well enough to let intervals go.
+_STRETCH = 5.0
+# Sigmas that a clock may be off.
+_SIGMAS = 3.0
 
 # An update that brings so many knots is solved like a batch.
 _MANY_KNOTS = 12
@@ -186,7 +192,7 @@ def _let_go(state: State) -> None:
     """Drop what is older than the lag."""
     _, chain = state.running
     assert state.lag_s is not None
-    oldest = chain.knots_s[-1] - state.lag_s
+    oldest = chain.knots_s[-1] - state.lag_s * (_STRETCH if _unsure(state) else 1.0)
     leave = 0
     while leave < len(chain.pieces) - 1 and chain.knots_s[leave + 1] <= oldest:
         leave += 1
@@ -194,6 +200,24 @@ def _let_go(state: State) -> None:
         # iSAM2 is made anew for a new prior: as seldom as once for every knot held.
         return
     let_go(state, leave)
+
+
+def _unsure(state: State) -> bool:
+    """Tell whether a sensor's error is known too badly for what it bears on to be let go.
+
+    That of a silent sensor counts if it may speak of what is older than the lag.
+    """
+    model, _ = state.running
+    assert state.limits is not None
+    assert state.lag_s is not None
+    unsure = state.limits.unsure()
+    return any(
+        column.sensor in model.active
+        or column.sensor == NO_SENSOR
+        or (column.channel == CLOCK and not column.drift and column.sigma > state.lag_s / _SIGMAS)
+        for column, open_ in zip(model.prepared.states.constants, unsure.tolist(), strict=True)
+        if open_
+    )
 
 
 def _without_late(

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 TOLERANCE = 0.02
 """Posterior sigmas by which what is not linear may put an estimate off."""
 
+# Posterior sigmas by which what leaves a lag may put the newest estimate off.
+_LET_GO = 0.2
+
 # Rows that the curvature is taken from: the newest, where the object is.
 _ROWS = 32
 
@@ -47,11 +50,22 @@ class Limits:
         Shape (m,): position, velocity, acceleration; lengths of their vectors.
     chains, constants
         Shapes (w,), (s,): walks and platforms, and constants.
+    sigma
+        Shape (s,): of the constants, when the limits were set.
     """
 
     path: NDArray[np.float64]
     chains: NDArray[np.float64]
     constants: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+
+    def unsure(self) -> NDArray[np.bool_]:
+        """Tell which constants may yet move by more than what is let go would bear, shape (s,).
+
+        What an interval says is then fixed where it was linearised last. With the square of a
+        distance, a constant's sigma of r limits puts an estimate off by r^2 tolerances.
+        """
+        return np.asarray(self.sigma > np.sqrt(_LET_GO / TOLERANCE) * self.constants)
 
     def moved(self, chain: Chain, first: int) -> list[int]:
         """Return the pieces from ``first`` on whose estimate left their linearisation."""
@@ -128,7 +142,7 @@ def limits(model: Model, chain: Chain, total_rows: int) -> Limits:
         by[column] = step = max(float(sigma[m + column]), _LEAST_STEP)
         there, back = (replace(values, walks=values.walks + s * by) for s in (1, -1))
         chains[column] = distance(there, back, step)
-    return Limits(blocks, chains, constants)
+    return Limits(blocks, chains, constants, sigma[d:])
 
 
 def _weighted(model: Model, part: Measured) -> NDArray[np.float64]:
