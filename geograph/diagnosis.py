@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
 
+from geograph import chi_square
 from geograph.families import Values
 from geograph.losses import Loss
 from geograph.prepare import prepare
@@ -179,7 +179,7 @@ def _misfits(smoother: Smoother, rejected: NDArray[np.bool_]) -> list[int]:
         if int(own.sum()) < _FEWEST:
             continue
         lost = float(rejected[own].mean())
-        wide = float(np.median(square[own])) / float(chi2.median(1))
+        wide = float(np.median(square[own])) / float(chi_square.median(1))
         if lost >= _REJECTED_SHARE or wide > _WIDE**2:
             found.append((-max(lost, wide / (1.0 + wide)), index))
     # In differences a good sensor suffers from its partner: the worst ones alone are examined.
@@ -249,7 +249,7 @@ def _explain(
     problem, solution = reopened
     own = _of_sensor(smoother, index)
     # A bearing's square has two degrees of freedom.
-    share = smoother.squares(problem, solution.values)[own] / chi2.median(smoother.rows[own])
+    share = smoother.squares(problem, solution.values)[own] / chi_square.median(smoother.rows[own])
     if float(np.sqrt(np.median(share))) > _EXPLAINED:
         return None
     assert solution.elimination is not None

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
 
+from geograph import chi_square
 from geograph.errors import InputError
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def ellipsoids(
     # Covariances of what is not determined are not finite, and nor are their ellipsoids.
     finite = np.isfinite(covariance_m2).all(axis=(-2, -1))
     values[finite], vectors[finite] = np.linalg.eigh(covariance_m2[finite])
-    quantile = float(chi2.ppf(probability, center_m.shape[-1]))
+    quantile = float(chi_square.quantile(probability, center_m.shape[-1]))
     semi_axes = np.sqrt(np.maximum(values, 0.0) * quantile)[..., ::-1]
     return Ellipsoids(center_m, semi_axes, np.swapaxes(vectors, -1, -2)[..., ::-1, :], probability)
 

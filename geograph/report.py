@@ -6,8 +6,8 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import chi2
 
+from geograph import chi_square
 from geograph.diagnosis import diagnose
 from geograph.eliminate import Marginals
 from geograph.hypotheses import off_terrain
@@ -379,7 +379,9 @@ def _misfits(track: Track) -> list[str]:
     for index, name in enumerate(track.recording.sensor_names):
         kept = residuals.normalised[(residuals.sensor == index) & ~residuals.rejected]
         square = float(np.sum(kept**2))
-        if square > max(_MISFIT**2 * kept.size, float(chi2.isf(_MISFIT_CHANCE, kept.size))):
+        if square > max(
+            _MISFIT**2 * kept.size, float(chi_square.exceeded(_MISFIT_CHANCE, kept.size))
+        ):
             sentences.append(
                 f"{name}: residuals are {np.sqrt(square / kept.size):.3g} times their sigmas; its "
                 "sigmas, its errors or the motion model do not fit, and covariances are too small"

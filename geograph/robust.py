@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import gammainccinv
-from scipy.stats import chi2
+
+from geograph import chi_square
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -78,7 +79,7 @@ def sensor_scales(
     """
     count = int(group.max(initial=-1)) + 1
     scales = np.ones(count)
-    ratio = square / chi2.median(rows)
+    ratio = square / chi_square.median(rows)
     for index in range(count):
         own = ratio[group == index]
         if own.size >= _SCALE_ROUNDS:

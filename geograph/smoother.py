@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.stats import chi2
 
+from geograph import chi_square
 from geograph.culprits import other_culprits
 from geograph.errors import SolveError
 from geograph.families import SensorFamily, Values
@@ -153,7 +153,7 @@ class Smoother:
         """Tell whether most measurements are well beyond their sigmas from an attempt's path."""
         square = self.squares(attempt.problem, attempt.solution.values)
         typical = float(np.median(square / self.rows))
-        return not typical < _MISFIT * float(chi2.median(1))
+        return not typical < _MISFIT * float(chi_square.median(1))
 
     def adopt(self, problem: Problem, solution: Solution, rejected: NDArray[np.bool_]) -> None:
         """Take over another solution, with other measurements left out, and refine it."""
