@@ -13,7 +13,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import gammainccinv
 
 from geograph import chi_square
 
@@ -65,7 +64,7 @@ def plain_limits(count: int, rows: NDArray[np.int64]) -> NDArray[np.float64]:
         Shape (n,): residual rows of those that are judged.
     """
     # The upper quantile of chi-square.
-    return np.asarray(2.0 * gammainccinv(0.5 * rows, FALSE_ALARM / max(count, 1)))
+    return chi_square.exceeded(FALSE_ALARM / max(count, 1), rows)
 
 
 def sensor_scales(

@@ -13,7 +13,7 @@ from test_incremental import small_pass
 
 import geograph as gg
 from geograph.families import BearingFamily
-from geograph.incremental.rows import TABLES, read
+from geograph.incremental.rows import TABLES, Emissions, read
 from geograph.incremental.trial import try_rows
 from geograph.prepare import prepare
 from geograph.scenarios.radio_mixed import mixed
@@ -190,7 +190,7 @@ def test_every_kind_is_tried_without_a_path(monkeypatch):
     tables = {**recording.tables, "arrivals": arrivals}
     assert set(tables) == set(TABLES)
     for kind, table in tables.items():
-        rows = read(table, sensors=len(recording.sensors), first=0, emission={})
+        rows = read(table, sensors=len(recording.sensors), first=0, emissions=Emissions())
         try_rows(template, rows)
         only = dataclasses.replace(template, **{kind: table})
         (family,) = prepare(only).sensor_families()
