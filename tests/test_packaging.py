@@ -50,7 +50,8 @@ def expected_files():
                 continue
             if folder == "geograph" and inside.parts[0] in SOURCES:
                 continue
-            if path.suffix == ".py" or path.name == "py.typed" or inside.parts[0] == "data":
+            data = path.name == "py.typed" or inside.parts[0] == "data" or "assets" in inside.parts
+            if path.suffix == ".py" or data:
                 names.add(f"{target}/{inside.as_posix()}")
     return names
 

@@ -20,6 +20,7 @@ from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotati
     ProcessNoiseAlong,
     Spacing,
 )
+from geograph.cli.report_command import report
 from geograph.cli.track_command import track
 
 app = typer.Typer(
@@ -185,3 +186,4 @@ def compare(
 app.command()(bound)
 app.command()(track)
 app.command()(convert)
+app.command()(report)
