@@ -62,7 +62,7 @@ def _multiples(low: float, high: float) -> list[float]:
 
 
 def _name(value: float, signs: str) -> str:
-    sign = "" if value == 0.0 else signs[0] if value > 0.0 else signs[1]
+    sign = "" if abs(value) in (0.0, 180.0) else signs[0] if value > 0.0 else signs[1]
     return f"{abs(value):.6g}°{sign}"
 
 

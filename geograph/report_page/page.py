@@ -92,9 +92,9 @@ def _asset(suffix: str) -> str:
 
 def _article(results: Results, limits: Limits, command: str | None, *, hidden: bool) -> str:
     """Return all of one result."""
-    own_charts = _Charts()
+    own_charts, shown = _Charts(), scene(results, limits)
     sections = [
-        _where(results, limits),
+        _where(results, len(shown["frames"]["time"])),
         _course(results, limits, own_charts),
         _errors(results, limits, own_charts),
         _residuals(results, limits, own_charts),
@@ -102,7 +102,7 @@ def _article(results: Results, limits: Limits, command: str | None, *, hidden: b
         _observability(results),
         _made(results, limits, own_charts, command),
     ]
-    data = script_data({"scene": scene(results, limits), "charts": own_charts.made})
+    data = script_data({"scene": shown, "charts": own_charts.made})
     return (
         f"<article{' hidden' if hidden else ''}>\n{_head(results)}\n"
         f"{''.join(sections)}\n"
@@ -154,8 +154,7 @@ def _count(word: str, things: Sequence[object]) -> str:
     return word if len(things) == 1 else f"{word}s"
 
 
-def _where(results: Results, limits: Limits) -> str:
-    frames = scene_frames(results, limits)
+def _where(results: Results, frames: int) -> str:
     whole = "true" if results.static else "false"
     views = _view("space", "In space", all_shown=whole) + _view(
         "map", "Map" if results.frame == "ecef" else "Plan", all_shown="true"
@@ -174,11 +173,6 @@ def _where(results: Results, limits: Limits) -> str:
         _static_table(results) if results.static else table(facts.path_sheet(results), wide=True)
     )
     return section("Where it was", slider, reading, f'<div class="pair">{views}</div>', places)
-
-
-def scene_frames(results: Results, limits: Limits) -> int:
-    """Return at how many moments the slider stops."""
-    return len(scene(results, limits)["frames"]["time"])
 
 
 def _view(part: str, title: str, *, all_shown: str) -> str:

@@ -93,10 +93,13 @@ function drawEllipses(root, scene, view) {
     view, { fill: BAND, "fill-opacity": 0.35, stroke: PATH, "stroke-width": 0.7 }));
 }
 
+function standsStill([xs, ys, zs]) {
+  return xs.every((x, row) => x === xs[0] && ys[row] === ys[0] && zs[row] === zs[0]);
+}
+
 function drawTruth(root, scene, { line, atX, atY }) {
   const [xs, ys] = scene.truth;
-  const still = xs.every((x, row) => x === xs[0] && ys[row] === ys[0]);
-  if (still) shape("path", { d: markerPath("x", atX(xs[0]), atY(ys[0]), 6), stroke: INK, "stroke-width": 1.6 }, root);
+  if (standsStill(scene.truth)) shape("path", { d: markerPath("x", atX(xs[0]), atY(ys[0]), 6), stroke: INK, "stroke-width": 1.6 }, root);
   else line(scene.truth, { stroke: INK, "stroke-dasharray": "5 3", "stroke-width": 1.3 });
 }
 
@@ -121,7 +124,7 @@ function drawSensors(root, scene, { atX, atY, line, width, height }) {
     while (taken.some(([a, b]) => Math.abs(a - x) < 80 && Math.abs(b - above) < 12)) above -= 12;
     taken.push([x, above]);
     const right = x > width - 110;
-    label(root, right ? x - 6 : x + 6, above, sensor.name, { "text-anchor": right ? "end" : "start", class: "halo" });
+    label(group, right ? -6 : 6, above - y, sensor.name, { "text-anchor": right ? "end" : "start", class: "halo" });
   }
   return carried;
 }
@@ -156,7 +159,10 @@ function pictureLegend(host, scene, { sights, what }) {
     { kind: "line", colour: PATH, width: 2.4, label: "path, from circle to square" }];
   entries.push({ kind: "points", marker: "o", colour: "#D55E00", label: scene.static ? "position" : "object" });
   entries.push({ kind: "band", colour: BAND, edge: PATH, opacity: 0.35, label: `95 % ${what}${larger(scene)}` });
-  if (scene.truth) entries.push({ kind: "line", colour: INK, dash: true, label: "truth" });
+  if (scene.truth) {
+    entries.push(standsStill(scene.truth) ? { kind: "points", marker: "x", colour: INK, label: "truth" }
+      : { kind: "line", colour: INK, dash: true, label: "truth" });
+  }
   if (sights && scene.sensors.some((sensor) => sensor.sights.length)) {
     entries.push({ kind: "line", colour: FAINT, width: 0.8, label: "some bearings, as measured" });
   }
