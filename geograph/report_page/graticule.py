@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 _STEPS_DEG = (30.0, 15.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 _FEWEST, _POINTS, _SEEN = 4, 41, 0.2
-_SMALLEST_DEG = 0.002
+_SMALLEST_DEG, _LEAST_COSINE = 0.002, 0.05
 
 
 def graticule(position_m: NDArray[np.float64]) -> list[tuple[str, NDArray[np.float64]]]:
@@ -33,11 +33,14 @@ def graticule(position_m: NDArray[np.float64]) -> list[tuple[str, NDArray[np.flo
     middle = longitude[longitude.size // 2]
     # About the middle of the path, so that the 180th meridian is a line as all others.
     east = (longitude - middle + 180.0) % 360.0 - 180.0 + middle
-    south, north = _widened(latitude.min(), latitude.max())
-    south, north = max(south, -90.0), min(north, 90.0)
-    west, far_east = _widened(east.min(), east.max())
-    if far_east - west > 360.0:
-        west, far_east = middle - 180.0, middle + 180.0
+    # As wide as high on the ground, as a map is.
+    squeeze = max(float(np.cos(np.radians(latitude).mean())), _LEAST_COSINE)
+    size = max(float(np.ptp(latitude)), float(np.ptp(east)) * squeeze, _SMALLEST_DEG)
+    half = (0.5 + _SEEN) * size
+    centre = 0.5 * (latitude.min() + latitude.max()), 0.5 * (east.min() + east.max())
+    south, north = max(centre[0] - half, -90.0), min(centre[0] + half, 90.0)
+    reach = min(half / squeeze, 180.0)
+    west, far_east = centre[1] - reach, centre[1] + reach
     lines = []
     for value in _multiples(south, north):
         along = np.linspace(west, far_east, _POINTS)
@@ -47,11 +50,6 @@ def graticule(position_m: NDArray[np.float64]) -> list[tuple[str, NDArray[np.flo
         turned = (value + 180.0) % 360.0 - 180.0
         lines.append((_name(turned, "EW"), _line(along, np.full(_POINTS, value))))
     return lines
-
-
-def _widened(low: float, high: float) -> tuple[float, float]:
-    margin = max(_SEEN * (high - low), _SMALLEST_DEG)
-    return float(low - margin), float(high + margin)
 
 
 def _multiples(low: float, high: float) -> list[float]:
