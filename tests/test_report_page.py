@@ -164,8 +164,23 @@ def test_what_comes_from_a_recording_is_text_and_never_markup(local):
 def test_summary_of_any_shape_gives_a_page():
     made = as_results(make_track())
     summary = dict.fromkeys(made.summary, 7) | {"epoch": None}
-    Markup(page([dataclasses.replace(made, summary=summary | {"time_span_s": [0.0, 8.0]})]))
-    Markup(page([dataclasses.replace(made, summary={})]))
+    for other in (summary, {}):
+        Markup(page([dataclasses.replace(made, summary=other)]))
+    still = as_results(make_track(frame="local", knots=1, order=1))
+    for span in (7, [0.0], ["a", "b"]):
+        Markup(page([dataclasses.replace(still, summary={"time_span_s": span})]))
+
+
+def test_bearings_without_elevation_and_sensors_without_errors_have_a_page():
+    made = as_results(make_track())
+    level = made.residuals.where(made.residuals.kind == "azimuth")
+    found = Markup(page([dataclasses.replace(made, residuals=level, errors=(), curves=())]))
+    shown = {layer.get("label") for chart in found.data[0]["charts"] for layer in chart["layers"]}
+    assert "azimuth" in shown
+    assert "elevation" not in shown
+    assert any("No errors of sensors are estimated" in words for words in found.words)
+    none = made.residuals.where(np.zeros(len(made.residuals), dtype=bool))
+    Markup(page([dataclasses.replace(made, residuals=none)]))
 
 
 def test_covariance_that_is_not_finite_is_not_drawn():

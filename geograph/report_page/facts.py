@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geograph.report_page.scene import clocks, readings
+from geograph.report_page.scene import clocks, readings, time_span
 from geograph.results.facts import estimate_text, length_text, rounded
 from geograph.states import RECORDING_NAME
 from geograph.units import fitting_unit
@@ -77,8 +77,7 @@ def table_of(summary: dict[str, Any], key: str) -> dict[str, Any]:
 def headline(results: Results) -> list[tuple[str, str]]:
     """Return names and texts of what is said first."""
     facts = results.summary
-    span = facts.get("time_span_s")
-    ends = span if isinstance(span, list | tuple) and len(span) == 2 else results.time_s[[0, -1]]
+    first, last = time_span(results)
     texts = [
         (
             "fit, chi2 / degrees of freedom",
@@ -87,7 +86,7 @@ def headline(results: Results) -> list[tuple[str, str]]:
         ("measurements", number(facts.get("measurements"))),
         ("rejected", str(len(entries(facts, "rejected")))),
         ("sensors", str(len(results.sensors))),
-        ("time spanned", f"{float(ends[1]) - float(ends[0]):.4g} s"),
+        ("time spanned", f"{last - first:.4g} s"),
         ("knots", str(results.time_s.size)),
         ("motion", str(facts.get("motion", "?")).replace("-", " ")),
         ("iterations", number(facts.get("iterations"))),

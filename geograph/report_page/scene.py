@@ -147,8 +147,7 @@ def _frames(results: Results, plane: Plane, limits: Limits) -> dict[str, Any]:
     """Return the moments of the slider: when, where, how sure, and both as a text."""
     first, last = results.time_s[0], results.time_s[-1]
     if results.time_s.size == 1:
-        span = results.summary.get("time_span_s") or [first, last]
-        first, last = float(span[0]), float(span[-1])
+        first, last = time_span(results)
     moving = not results.static or any(place.moving for place in results.sensors)
     count = limits.frames if moving and last > first else 1
     time = np.linspace(first, last, count)
@@ -162,6 +161,16 @@ def _frames(results: Results, plane: Plane, limits: Limits) -> dict[str, Any]:
             for where, fast, sigma in readings(results, time)
         ],
     }
+
+
+def time_span(results: Results) -> tuple[float, float]:
+    """Return when the recording began and ended; the path, where the summary does not say it."""
+    found = results.summary.get("time_span_s")
+    if isinstance(found, list | tuple) and len(found) == 2:
+        first, last = found
+        if isinstance(first, int | float) and isinstance(last, int | float):
+            return float(first), float(last)
+    return float(results.time_s[0]), float(results.time_s[-1])
 
 
 def clocks(results: Results, time_s: NDArray[np.float64]) -> list[str]:
