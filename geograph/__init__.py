@@ -44,6 +44,7 @@ if TYPE_CHECKING:
         Truth,
     )
     from geograph.recording import Recording, SmoothSettings
+    from geograph.report_page import write_report
     from geograph.sensors import Sensor, SensorErrors, Trajectory
     from geograph.signal import Signal
     from geograph.smoother import smooth
@@ -98,6 +99,7 @@ __all__ = [
     "read",
     "smooth",
     "write",
+    "write_report",
 ]
 
 # Imported when first asked for: GTSAM and SciPy take most of a second, and neither an error message
@@ -146,6 +148,7 @@ _HOMES = {
     "read": "geograph.io",
     "smooth": "geograph.smoother",
     "write": "geograph.io",
+    "write_report": "geograph.report_page",
 }
 
 

@@ -50,8 +50,8 @@ def expected_files():
                 continue
             if folder == "geograph" and inside.parts[0] in SOURCES:
                 continue
-            kept = path.suffix in (".py", ".pyi") or path.name == "py.typed"
-            if kept or inside.parts[0] == "data":
+            data = path.name == "py.typed" or inside.parts[0] == "data" or "assets" in inside.parts
+            if path.suffix in (".py", ".pyi") or data:
                 names.add(f"{target}/{inside.as_posix()}")
     return names
 

@@ -21,6 +21,7 @@ from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotati
     ProcessNoiseAlong,
     Spacing,
 )
+from geograph.cli.report_command import report
 from geograph.cli.track_command import track
 
 app = typer.Typer(
@@ -187,3 +188,4 @@ app.command()(bound)
 app.command()(track)
 app.command()(convert)
 app.command()(doctor)
+app.command()(report)
