@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.factors.aberration import astrometric_sight
 from geograph.factors.attitude import Turned, misaligned
 from geograph.factors.bearing import coordinate_residual, predict_bearing, tangent_residual
 from geograph.factors.light_time import Sight, light_time_correction, sight
@@ -106,6 +107,7 @@ class BearingFamily(SensorFamily):
         self._clocked = CLOCK in channels | {walk.channel for walk in states.walks}
         self._fast = SPEED in channels
         self._turned = MISALIGNMENT in channels
+        self._stars = geometry.stars(bearings.sensor, bearings.time_s)
         self._light_time = np.zeros(len(bearings))
         self._walk_time = bearings.time_s.copy()
         self._poses: SensorPoses | None = None
@@ -227,6 +229,26 @@ class BearingFamily(SensorFamily):
         angles = errors[:, MISALIGNMENT : MISALIGNMENT + 3]
         return misaligned(sight_axes, angles, jacobian=jacobian)
 
+    def _on_the_sky(
+        self, sight_axes: NDArray[np.float64], *, jacobian: bool
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """Return lines of sight as measured, and their derivatives in the rows against the stars.
+
+        An aberration goes with the Earth's velocity at the time tag, which a clock does not change.
+        """
+        if self._stars is None:
+            return sight_axes, None
+        rows, stars = self._stars
+        seen = sight_axes.copy()
+        seen[rows], by_sight = astrometric_sight(
+            sight_axes[rows],
+            stars.earth_velocity,
+            stars.sun_to_earth,
+            stars.bending,
+            jacobian=jacobian,
+        )
+        return seen, by_sight
+
     def _residual(
         self, sight_axes: NDArray[np.float64], errors: NDArray[np.float64], jacobian: bool
     ) -> BearingResidual:
@@ -270,7 +292,12 @@ class BearingFamily(SensorFamily):
             # Read where the derivative is taken, in the interval of the emission.
             errors = self._errors(path, values, place.interval)
         turned = self._in_true_axes(poses, line, errors, jacobian=jacobian)
-        result = self._residual(turned.line_of_sight_m, errors, jacobian)
+        seen, by_sky = self._on_the_sky(turned.line_of_sight_m, jacobian=jacobian)
+        result = self._residual(seen, errors, jacobian)
+        if by_sky is not None and self._stars is not None:
+            assert result.by_line_of_sight is not None
+            rows = self._stars[0]
+            result.by_line_of_sight[rows] = result.by_line_of_sight[rows] @ by_sky
         white = self._white
         residual = result.value * white
         constant, walks = self.terms.constants, self.terms.chains
@@ -383,7 +410,8 @@ class BearingFamily(SensorFamily):
         state = path.at_state(values.path, jacobian=False)
         found, place, poses, errors = self._find(path, state, values)
         turned = self._in_true_axes(poses, found.line_of_sight_m, errors)
-        bearing, _ = predict_bearing(turned.line_of_sight_m)
+        seen, _ = self._on_the_sky(turned.line_of_sight_m, jacobian=False)
+        bearing, _ = predict_bearing(seen)
         bearing += errors[:, [AZIMUTH, ELEVATION]]
         turns = np.round((self.bearings.azimuth_rad - bearing[:, 0]) / (2.0 * np.pi))
         bearing[:, 0] += 2.0 * np.pi * turns

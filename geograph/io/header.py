@@ -64,8 +64,7 @@ _METRE_KEYS = {
     "clock_instability_m_sqrt_s": "clock_instability_s_sqrt_s",
 }
 """Errors of clocks by the way of the signal in their time: divided by the speed of propagation."""
-_AXES = ("enu", "xyz", "body")
-_LATER_AXES = ("radec",)
+_AXES = ("enu", "xyz", "body", "radec")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -285,9 +284,10 @@ def valid_sensor_name(name: str) -> bool:
 def _axes(document: Document, path: KeyPath, value: object, frame: Frame) -> Axes:
     if value is None:
         return "enu" if frame == "ecef" else "xyz"
-    if value in _LATER_AXES:
-        document.fail(path, f"axes {value} are not supported by this version of geograph yet")
-    return cast("Axes", document.choice(path, value, _AXES))
+    axes = cast("Axes", document.choice(path, value, _AXES))
+    if axes == "radec" and frame != "ecef":
+        document.fail(path, f"axes radec need the frame ecef, which knows the Earth; given {frame}")
+    return axes
 
 
 def _position(

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import re
 from datetime import UTC, datetime
-from typing import Literal, cast, get_args
+from typing import TYPE_CHECKING, Literal, cast, get_args
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 TimeSystem = Literal["UTC", "TAI", "TT", "GPS"]
 
@@ -53,6 +56,12 @@ def tai_to_utc_ns(tai_ns: int) -> int:
     """Return the UTC calendar count of an instant; a leap second counts as the one after it."""
     leaps = int(np.searchsorted(_LEAPS_TAI_NS, tai_ns, side="right"))
     return tai_ns - (_OFFSET_1972_S + leaps) * SECOND_NS
+
+
+def tai_to_utc_all_ns(tai_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the UTC calendar counts of instants; see :func:`tai_to_utc_ns`."""
+    leaps = np.searchsorted(_LEAPS_TAI_NS, tai_ns, side="right")
+    return np.asarray(tai_ns - (_OFFSET_1972_S + leaps) * SECOND_NS)
 
 
 def in_system(count_ns: int, system: TimeSystem) -> int:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.earth import earth_fixed_from_gcrs, earth_fixed_from_teme, frame_bias
 from geograph.errors import InputError
 from geograph.io.ccsds_text import Entry, is_xml, kvn_entries
-from geograph.io.earth import earth_fixed_from_gcrs, earth_fixed_from_teme, frame_bias
 from geograph.io.instants import SECOND_NS
 from geograph.io.messages import shown
 from geograph.io.source import read_file
@@ -44,7 +44,7 @@ def read_oem(path: Path, epoch_tai_ns: int, span_s: Span) -> Trajectory:
     ----------
     path
         The message, in keyword = value notation or XML. States in an ITRF or WGS 84 are taken as
-        they are, those in EME2000, ICRF, GCRF and TEME turned (:mod:`geograph.io.earth`).
+        they are, those in EME2000, ICRF, GCRF and TEME turned (:mod:`geograph.earth`).
     epoch_tai_ns
         Instant from which seconds count (:mod:`geograph.io.instants`).
     span_s

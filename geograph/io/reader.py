@@ -88,7 +88,11 @@ def read(path: Path | str) -> Recording:
     document, header, setup = _read_setup(source)
     _check_file_names(source, header)
     measured = read_measurements(
-        source, document, setup.sensors, speed_m_s=header.propagation_speed_m_s
+        source,
+        document,
+        setup.sensors,
+        speed_m_s=header.propagation_speed_m_s,
+        epoch=header.epoch,
     )
     recording = replace(
         setup,

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.earth import earth_fixed_from_teme
 from geograph.errors import InputError
-from geograph.io.earth import earth_fixed_from_teme
 from geograph.io.instants import DAY_NS, SECOND_NS, tai_to_utc_ns
 from geograph.io.messages import shown
 from geograph.io.source import decode, read_file
