@@ -5,7 +5,7 @@ batch engine, the Cramer-Rao bound, the residual report and the factors below al
 here knows of files, recordings or solvers.
 
 ``bearing`` (azimuth and elevation), ``attitude`` (body axes, misalignment), ``light_time``
-(emission and reception), ``refraction``, ``kinematics`` (Gaussian-process priors, transitions,
+(emission and reception), ``aberration`` (directions against the stars), ``refraction``, ``kinematics`` (Gaussian-process priors, transitions,
 interpolation), ``gravity`` (free fall), ``arrival`` (light time to moving sensors, Doppler),
 ``difference`` (of arrival time and received frequency), ``constraints`` (height, speed),
 ``terrain`` (height above ground), ``adapter`` (GTSAM's callback), ``standalone``,

@@ -19,7 +19,7 @@ from geograph.errors import InputError
 from geograph.io.instants import (
     DAY_NS,
     SECOND_NS,
-    from_datetime,
+    instant_of,
     tai_to_utc_all_ns,
     tai_to_utc_ns,
     utc_to_tai_ns,
@@ -112,7 +112,7 @@ def orientation_known(
         If astropy is missing.
     """
     erfa_module(place, "optical")
-    tai = from_datetime(epoch) + np.round(time_s * SECOND_NS).astype(np.int64)
+    tai = instant_of(epoch, place) + np.round(time_s * SECOND_NS).astype(np.int64)
     _, status = _orientation().ut1_utc(*_julian(tai_to_utc_all_ns(tai)), return_status=True)
     return np.asarray(np.atleast_1d(status) >= 0)
 
@@ -292,7 +292,7 @@ class CelestialAxes:
         self, epoch: datetime, place: Path | str | None = None, extra: str = "optical"
     ) -> None:
         self.place, self.extra = place, extra
-        self._epoch_tai_ns = from_datetime(epoch)
+        self._epoch_tai_ns = instant_of(epoch, place)
         # Nodes lie on midnights of UTC, at which the IERS gives its values.
         utc = tai_to_utc_ns(self._epoch_tai_ns)
         self._first_tai_ns = utc_to_tai_ns(utc // DAY_NS * DAY_NS)

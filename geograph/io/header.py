@@ -14,6 +14,7 @@ from geograph.errors import InputError
 from geograph.io.header_terrain import TerrainEntry, file_name, read_terrain_entry
 from geograph.io.messages import shown
 from geograph.io.tables import MAX_COORDINATE_M, MAX_VALUE
+from geograph.io.trajectories import EPHEMERIS_SUFFIXES
 from geograph.recording import Frame, LossName, MotionName, SmoothSettings
 from geograph.sensors import SensorErrors
 
@@ -212,8 +213,9 @@ def _sensor(
                 document,
                 (*path, "trajectory"),
                 trajectory,
-                (".csv", ".parquet"),
-                ".csv or .parquet file",
+                (".csv", ".parquet", *(EPHEMERIS_SUFFIXES if frame == "ecef" else ())),
+                ".csv or .parquet file"
+                + (", or of an ephemeris (.oem, .tle, .xml, .gpx)" if frame == "ecef" else ""),
             )
         ),
         axes=axes,

@@ -12,7 +12,11 @@ from typing import TYPE_CHECKING, Literal, cast, get_args
 
 import numpy as np
 
+from geograph.errors import InputError
+
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
 TimeSystem = Literal["UTC", "TAI", "TT", "GPS"]
@@ -173,6 +177,22 @@ def from_datetime(moment: datetime) -> int:
     utc = moment.astimezone(UTC)
     days = day_ns(utc.year, utc.month, utc.day)
     return clock_ns(days, utc.hour, utc.minute, utc.second, utc.microsecond * 1000)
+
+
+def instant_of(epoch: datetime, place: Path | str | None = None) -> int:
+    """Return the instant of a recording's epoch; InputError where UTC did not exist yet.
+
+    Parameters
+    ----------
+    epoch
+        With a zone.
+    place
+        The file it stands in, for messages.
+    """
+    try:
+        return from_datetime(epoch)
+    except ValueError as error:
+        raise InputError(f"is in {error}", path=place, column="epoch") from None
 
 
 def utc_text(tai_ns: int, digits: int = 6) -> str:

@@ -37,7 +37,9 @@ class _Segment:
     states: list[tuple[Entry, str, list[str]]] = field(default_factory=list)
 
 
-def read_oem(path: Path, epoch_tai_ns: int, span_s: Span) -> Trajectory:
+def read_oem(
+    path: Path, epoch_tai_ns: int, span_s: Span, *, content: bytes | None = None
+) -> Trajectory:
     """Read an ephemeris as a trajectory in ECEF.
 
     Parameters
@@ -50,13 +52,15 @@ def read_oem(path: Path, epoch_tai_ns: int, span_s: Span) -> Trajectory:
     span_s
         What is wanted; points farther apart than 10 s are made denser
         (:func:`geograph.io.trajectories.made_dense`), on the axes of the message.
+    content
+        What the file holds, if it is in an archive.
 
     Raises
     ------
     InputError
         If it is no such message, its frame is not known, or times do not increase.
     """
-    content = read_file(path)
+    content = read_file(path) if content is None else content
     segments = _from_xml(content, path) if is_xml(content) else _from_kvn(content, path)
     times: list[int] = []
     lines: list[int] = []
