@@ -216,6 +216,7 @@ def choose_knots(
     unknowns = 2 * (3 * motion.order + states.chains) + states.size + 1
     count = float(np.ptp(times)) / spacing
     if automatic:
-        count = min(count, times.size)
+        # The knots at the times themselves, and those in the gaps between.
+        count = min(count, times.size + float(np.ptp(times)) / motion.longest_step_s)
     check_memory(count, unknowns, spacing)
-    return place_knots(times, spacing, automatic=automatic)
+    return place_knots(times, spacing, automatic=automatic, longest_s=motion.longest_step_s)
