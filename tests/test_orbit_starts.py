@@ -76,9 +76,9 @@ def seen(start, sites, time, noise, *, seed=1):
 
 
 CASES = {
-    # One pass leaves the orbit poorly known, several determine it.
+    # One pass leaves the orbit poorly known, a second determines it.
     "one pass": (LEO, [(38.0, 2.0, 0.0)], np.arange(0.0, 500.0, 5.0), 1e-4, 100.0),
-    "three passes": (LEO, [(38.0, 2.0, 0.0)], np.arange(0.0, 13000.0, 10.0), 1e-4, 50.0),
+    "two passes": (LEO, [(38.0, 2.0, 0.0)], np.arange(0.0, 13000.0, 10.0), 1e-4, 50.0),
     "two sites": (
         LEO, [(38.0, 2.0, 0.0), (45.0, 14.0, 0.0)], np.arange(0.0, 7000.0, 10.0), 1e-4, 20.0
     ),
