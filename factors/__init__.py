@@ -5,12 +5,13 @@ batch engine, the Cramer-Rao bound, the residual report and the factors below al
 here knows of files, recordings or solvers.
 
 ``bearing`` (azimuth and elevation), ``attitude`` (body axes, misalignment), ``light_time``
-(emission and reception), ``refraction``, ``kinematics`` (Gaussian-process priors, transitions,
-interpolation), ``gravity`` (free fall), ``arrival`` (light time to moving sensors, Doppler),
-``difference`` (of arrival time and received frequency), ``constraints`` (height, coordinate,
-speed), ``terrain`` (height above ground), ``adapter`` (GTSAM's callback), ``standalone``,
-``standalone_radio`` and ``standalone_priors`` (factors for anybody's graph), ``scene`` (receivers
-of radio signals), ``noise`` (of stacked measurements).
+(emission and reception), ``aberration`` (directions against the stars), ``refraction``,
+``kinematics`` (Gaussian-process priors, transitions, interpolation), ``gravity`` (free fall),
+``arrival`` (light time to moving sensors, Doppler), ``difference`` (of arrival time and received
+frequency), ``constraints`` (height, coordinate, speed), ``terrain`` (height above ground),
+``adapter`` (GTSAM's callback), ``standalone``, ``standalone_radio`` and ``standalone_priors``
+(factors for anybody's graph), ``scene`` (receivers of radio signals), ``noise`` (of stacked
+measurements).
 """
 
 from geograph.factors.adapter import FactorError, vector_factor

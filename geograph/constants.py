@@ -21,6 +21,12 @@ EARTH_FLATTENING: Final = 1.0 / 298.257223563
 EARTH_J2: Final = 1.082_626_683_553e-3
 """Unnormalised second zonal harmonic, -sqrt(5) C20 with C20 = -0.484165371736e-3 (EGM96)."""
 
+EARTH_J3: Final = -2.532_656_485_33e-6
+"""Unnormalised third zonal harmonic, -sqrt(7) C30 with C30 = 0.957254173792e-6 (EGM96)."""
+
+EARTH_J4: Final = -1.619_621_591_367e-6
+"""Unnormalised fourth zonal harmonic, -3 C40 with C40 = 0.539873863789e-6 (EGM96)."""
+
 EARTH_ROTATION_RAD_S: Final = 7.292115e-5
 """Angular speed of the Earth about its axis (WGS 84)."""
 

@@ -20,10 +20,13 @@ from geograph.platforms import best_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from datetime import datetime
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
     from geograph.attitude import AttitudeSpline
+    from geograph.earth import CelestialAxes, Stars
     from geograph.platforms import StraightLine
     from geograph.recording import Frame
     from geograph.sensors import Sensor, Trajectory
@@ -66,16 +69,27 @@ class SensorGeometry:
         In the order of their indices.
     frame
         The recording's frame.
+    epoch, path
+        Instant of time zero, which axes ``radec`` need, and the recording's place for messages.
 
     Raises
     ------
     InputError
-        If a sensor's axes are not supported by this version.
+        If a sensor has axes ``radec`` and there is no epoch, or the frame is local.
     """
 
-    def __init__(self, sensors: Sequence[Sensor], frame: Frame) -> None:
+    def __init__(
+        self,
+        sensors: Sequence[Sensor],
+        frame: Frame,
+        *,
+        epoch: datetime | None = None,
+        path: Path | None = None,
+    ) -> None:
         self.sensors = sensors
         self.frame: Frame = frame
+        self.against_stars = np.array([sensor.axes == "radec" for sensor in sensors], dtype=bool)
+        self.celestial = self._celestial(epoch, path)
         count = len(sensors)
         self._position = np.zeros((count, 3))
         self._axes = np.zeros((count, 3, 3))
@@ -84,11 +98,6 @@ class SensorGeometry:
         self._movers: dict[int, Trajectory | StraightLine] = {}
         self._attitudes: dict[int, AttitudeSpline] = {}
         for index, sensor in enumerate(sensors):
-            if sensor.axes == "radec":
-                raise InputError(
-                    f"sensor {sensor.name!r} measures in {sensor.axes!r} axes, which this version "
-                    "does not support; expected enu, xyz or body"
-                )
             self._axes[index] = np.eye(3)
             if sensor.trajectory is not None:
                 self._moving[index] = True
@@ -104,12 +113,27 @@ class SensorGeometry:
                 continue
             assert sensor.position_m is not None
             self._position[index] = sensor.position_m
-            if sensor.axes != "xyz":
+            if sensor.axes in ("enu", "body"):
                 self._axes[index] = self._enu(sensor.position_m)
             if sensor.axes == "body":
                 assert sensor.attitude_rad is not None
                 rotation = ned_from_body(sensor.attitude_rad)
                 self._axes[index] = body_axes(rotation, self._axes[index])
+
+    def _celestial(self, epoch: datetime | None, path: Path | None) -> CelestialAxes | None:
+        if not self.against_stars.any():
+            return None
+        name = self.sensors[int(np.argmax(self.against_stars))].name
+        if self.frame != "ecef" or epoch is None:
+            what = "no epoch" if self.frame == "ecef" else f"frame {self.frame}"
+            raise InputError(
+                f"sensor {name!r} has axes radec and the recording has {what}; expected frame "
+                "ecef and an epoch, without which the sky has no place",
+                path=path,
+            )
+        from geograph.earth import CelestialAxes
+
+        return CelestialAxes(epoch, path)
 
     def _enu(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
         if self.frame == "local":
@@ -130,7 +154,7 @@ class SensorGeometry:
             mover, sensor_axes = self._movers[int(index)], self.sensors[int(index)].axes
             position[rows] = mover.position_at(time_s[rows])
             velocity[rows] = mover.velocity_at(time_s[rows])
-            if sensor_axes == "xyz":
+            if sensor_axes in ("xyz", "radec"):
                 continue
             axes[rows] = self._enu(position[rows])
             turning = None
@@ -144,7 +168,34 @@ class SensorGeometry:
             if turning is not None:
                 rate = np.zeros_like(axes) if rate is None else rate
                 rate[rows] = turning
+        rows = np.flatnonzero(self.against_stars[sensor])
+        if rows.size:
+            assert self.celestial is not None
+            rate = np.zeros_like(axes) if rate is None else rate
+            axes[rows], rate[rows] = self.celestial.at(time_s[rows])
         return SensorPoses(position, velocity, axes, rate)
+
+    def stars(
+        self, sensor: NDArray[np.int64], time_s: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], Stars] | None:
+        """Return which rows are measured against the stars, and what these need; None: none.
+
+        Parameters
+        ----------
+        sensor, time_s
+            Shape (n,): indices, and times in seconds.
+
+        Raises
+        ------
+        InputError
+            If astropy is missing, or the Earth's orientation at a time is not known.
+        """
+        rows = np.flatnonzero(self.against_stars[sensor])
+        if not rows.size:
+            return None
+        assert self.celestial is not None
+        self.celestial.cover(time_s[rows])
+        return rows, self.celestial.stars(time_s[rows])
 
     def motion(self, sensor: NDArray[np.int64], time_s: NDArray[np.float64]) -> SensorMotion:
         """Return how sensors (indices, shape (n,)) move at times (shape (n,), seconds)."""

@@ -143,7 +143,11 @@ def add_path_noise(
 
 
 def place_knots(
-    times_s: NDArray[np.float64], spacing_s: float, *, automatic: bool
+    times_s: NDArray[np.float64],
+    spacing_s: float,
+    *,
+    automatic: bool,
+    longest_s: float = float("inf"),
 ) -> NDArray[np.float64]:
     """Return knots, shape (K,), that cover the emission times.
 
@@ -158,6 +162,8 @@ def place_knots(
         Largest time between knots.
     automatic
         Whether the spacing was chosen here rather than by the user.
+    longest_s
+        Longest interval that may stand between two knots: more are put into gaps.
     """
     low, high = float(times_s.min()), float(times_s.max())
     if not high > low:
@@ -167,8 +173,20 @@ def place_knots(
     if automatic and 4 <= distinct.size < count:
         knots = _apart(distinct, _CLOSE * spacing_s)
         if knots.size >= 4:
-            return knots
+            return _without_gaps(knots, longest_s)
     return np.linspace(low, high, max(count, 2))
+
+
+def _without_gaps(knots_s: NDArray[np.float64], longest_s: float) -> NDArray[np.float64]:
+    """Return knots with evenly spaced ones put into the intervals that are too long."""
+    parts = np.ceil(np.diff(knots_s) / longest_s - 1e-9).astype(np.int64)
+    if not (parts > 1).any():
+        return knots_s
+    interval = np.repeat(np.arange(parts.size), np.maximum(parts, 1))
+    first = np.concatenate([[0], np.cumsum(np.maximum(parts, 1))[:-1]])
+    share = (np.arange(interval.size) - first[interval]) / np.maximum(parts, 1)[interval]
+    inner = knots_s[interval] + share * np.diff(knots_s)[interval]
+    return np.append(inner, knots_s[-1])
 
 
 def _apart(times_s: NDArray[np.float64], least_s: float) -> NDArray[np.float64]:

@@ -32,6 +32,7 @@ from geograph.path import BallisticPath, KinematicPath, Order, Path
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.factors.gravity import Degree
     from geograph.recording import Frame, MotionName
 
 _ORDERS: dict[str, Order] = {
@@ -148,6 +149,7 @@ class Motion:
         self.frame: Literal["ecef", "local"] = frame
         self.static = name == "static"
         self.ballistic = name in ("ballistic", "orbital")
+        self.degree: Degree = 4 if name == "orbital" else 2
         # Whether transitions and their noise are the same wherever the object is.
         self.constant = not self.ballistic and density.along is None
         if density.along is not None and self.order == 1:
@@ -160,7 +162,7 @@ class Motion:
     def path(self, knots_s: NDArray[np.float64]) -> Path:
         """Return the path of this motion over given knots, shape (K,)."""
         if self.ballistic:
-            return BallisticPath(knots_s, self.frame)
+            return BallisticPath(knots_s, self.frame, self.degree)
         return KinematicPath(knots_s, self.order)
 
     @property
@@ -213,7 +215,7 @@ class Motion:
             Shape (n,), seconds.
         """
         if self.ballistic:
-            return propagate(state, step_s, self.frame)
+            return propagate(state, step_s, self.frame, self.degree)
         eye = np.broadcast_to(np.eye(3), (step_s.size, 3, 3))
         matrix = kron_stack(transition(self.order, step_s), eye)
         return self.carried(state, step_s), matrix

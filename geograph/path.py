@@ -19,6 +19,8 @@ from geograph.factors.kinematics import interpolation_weights
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.factors.gravity import Degree
+
 Order = Literal[1, 2, 3]
 
 
@@ -180,13 +182,21 @@ class BallisticPath(Path):
         Shape (K,): strictly increasing, K >= 2.
     frame
         ``"ecef"`` or ``"local"``; see :mod:`geograph.factors.gravity`.
+    degree
+        Highest zonal harmonic of gravity.
     """
 
     LONGEST_STEP_S = 60.0
     """Longest interval over which the quintic polynomial stays below a tenth of a millimetre."""
 
-    def __init__(self, knots_s: NDArray[np.float64], frame: Literal["ecef", "local"]) -> None:
+    def __init__(
+        self,
+        knots_s: NDArray[np.float64],
+        frame: Literal["ecef", "local"],
+        degree: Degree = 2,
+    ) -> None:
         super().__init__(knots_s, 2)
+        self.degree: Degree = degree
         self.frame: Literal["ecef", "local"] = frame
 
     def _weights(
@@ -212,9 +222,10 @@ class BallisticPathState(PathState):
     def __init__(self, path: BallisticPath, state: NDArray[np.float64], *, jacobian: bool) -> None:
         first, second = state[:-1], state[1:]
         count = first.shape[0]
-        self.fall, self.fall_jacobian = propagate(first, path.steps_s, path.frame)
-        start, start_p, start_v = acceleration(first[:, :3], first[:, 3:], path.frame)
-        end, end_p, end_v = acceleration(self.fall[:, :3], self.fall[:, 3:], path.frame)
+        model = path.frame, path.degree
+        self.fall, self.fall_jacobian = propagate(first, path.steps_s, *model)
+        start, start_p, start_v = acceleration(first[:, :3], first[:, 3:], *model)
+        end, end_p, end_v = acceleration(self.fall[:, :3], self.fall[:, 3:], *model)
         self._basis = np.concatenate([first, start, self.fall, end, second], axis=1).reshape(
             count, 8, 3
         )

@@ -218,7 +218,7 @@ def prepare(recording: Recording) -> Prepared:
     states = SensorStates(
         sensors, active, recording.time_span_s[0], recording.propagation_sigma_m_s
     )
-    geometry = SensorGeometry(sensors, recording.frame)
+    geometry = SensorGeometry(sensors, recording.frame, epoch=recording.epoch, path=recording.path)
     shift = time_shift(states, sensors, active, recording.constraints)
     scale = states.chain_scale(_span(recording))
     return Prepared(recording, bearings, sensors, geometry, states, scale, shift)

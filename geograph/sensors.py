@@ -152,7 +152,8 @@ class Sensor:
     axes
         Axes of its bearings: ``"enu"`` (azimuth clockwise from north, elevation above the geodetic
         horizon), ``"xyz"`` (on the recording's axes), ``"body"`` (forward, right, down by yaw,
-        pitch and roll; needs attitudes) or ``"radec"`` (not supported yet).
+        pitch and roll; needs attitudes) or ``"radec"`` (right ascension and declination against
+        the stars, ICRS; needs the frame ``ecef`` and an epoch).
     attitude_rad
         Shape (3,): yaw, pitch and roll of a fixed sensor with body axes; a moving one has them in
         its trajectory.

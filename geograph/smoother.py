@@ -118,7 +118,11 @@ class Smoother:
         automatic = settings.process_noise == "auto" and settings.motion != "static"
         loss = Loss("none" if self.robust else settings.loss)
         trial = Loss("cauchy") if self.robust else loss
-        fits = first_fits(self.prepared, static=settings.motion == "static")
+        fits = first_fits(
+            self.prepared,
+            static=settings.motion == "static",
+            orbital=settings.motion == "orbital",
+        )
         several = len(fits) > 1
         for fit in fits:
             problem, values = self.start(fit, trial if several or automatic else loss)
@@ -388,7 +392,11 @@ def first_problem(recording: Recording, settings: SmoothSettings) -> tuple[Probl
     """
     smoother = Smoother(prepare(recording), settings)
     loss = Loss("none" if smoother.robust else settings.loss)
-    fits = first_fits(smoother.prepared, static=settings.motion == "static")
+    fits = first_fits(
+        smoother.prepared,
+        static=settings.motion == "static",
+        orbital=settings.motion == "orbital",
+    )
     problem, values = smoother.start(fits[0], loss)
     # As it stands: what all clocks have in common is left to their priors.
     return problem.without_shift(), values

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _PRIOR_WIDTH = 100.0
 
 
-def first_fits(prepared: Prepared, *, static: bool) -> list[PathFit]:
+def first_fits(prepared: Prepared, *, static: bool, orbital: bool = False) -> list[PathFit]:
     """Return first guesses of the path, the most promising of each kind of measurement first.
 
     Parameters
@@ -37,6 +37,8 @@ def first_fits(prepared: Prepared, *, static: bool) -> list[PathFit]:
         The recording.
     static
         Whether the object stands still.
+    orbital
+        Whether it is in orbit: an orbit through all bearings, if there is one, is the one guess.
     """
     recording = levelled(prepared.recording)
     fits: list[PathFit] = []
@@ -49,6 +51,10 @@ def first_fits(prepared: Prepared, *, static: bool) -> list[PathFit]:
             recording.propagation_speed_m_s,
             static,
         )
+        if orbital and recording.frame == "ecef":
+            from geograph.orbit_starts import orbit_fits
+
+            fits += orbit_fits(finder)
         above, terrain = ground_height(prepared.recording.constraints), recording.terrain
         if above is not None and terrain is not None:
             fits += terrain_fits(finder, terrain, above)
@@ -216,6 +222,7 @@ def choose_knots(
     unknowns = 2 * (3 * motion.order + states.chains) + states.size + 1
     count = float(np.ptp(times)) / spacing
     if automatic:
-        count = min(count, times.size)
+        # The knots at the times themselves, and those in the gaps between.
+        count = min(count, times.size + float(np.ptp(times)) / motion.longest_step_s)
     check_memory(count, unknowns, spacing)
-    return place_knots(times, spacing, automatic=automatic)
+    return place_knots(times, spacing, automatic=automatic, longest_s=motion.longest_step_s)

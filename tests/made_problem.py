@@ -1,6 +1,7 @@
 """Random problems of the batch engine, built by hand: any motion, frame, sensor and error."""
 
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -37,6 +38,7 @@ class Kind:
     position_noise: bool = False
     outside: bool = False
     body: bool = False
+    radec: bool = False
 
     @property
     def length_m(self):
@@ -73,7 +75,7 @@ def random_problem(rng, kind, *, bearings=9, sensors=3):
     states = SensorStates(world, range(sensors), 3.0)
     scale = states.diffusion * np.sqrt(np.ptp(knots)) if knots.size > 1 else states.diffusion
     table = _table(rng, kind, knots, sensors, bearings)
-    geometry = SensorGeometry(world, kind.frame)
+    geometry = SensorGeometry(world, kind.frame, epoch=datetime(2024, 3, 20, tzinfo=UTC))
     family = BearingFamily(
         table,
         geometry=geometry,
@@ -133,6 +135,9 @@ def _sensor(rng, kind, name, position, knots):
         misalignment_rad=0.05 * kind.body,
     )
     axes = "body" if kind.body else "enu" if kind.enu else "xyz"
+    # The sky has a place in ECEF alone; other sensors stand beside those that measure against it.
+    if kind.radec and kind.frame == "ecef" and not kind.body and name != "S1":
+        axes = "radec"
     if not kind.moving:
         own = {"attitude_rad": rng.uniform(-np.pi, np.pi, 3)} if kind.body else {}
         return Sensor(name=name, position_m=position, axes=axes, errors=errors, **own)

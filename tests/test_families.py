@@ -36,6 +36,7 @@ kinds = st.builds(
     position_noise=st.booleans(),
     outside=st.booleans(),
     body=st.booleans(),
+    radec=st.booleans(),
 )
 
 
@@ -111,6 +112,17 @@ def test_derivatives_of_random_problems(seed, kind):
         compare(seed, made_possible(kind))
     except NotSmoothError:
         assume(False)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_derivatives_against_the_stars(moving):
+    """Sensors against the stars beside one that is not, their clocks open."""
+    kind = Kind(
+        frame="ecef", motion="ballistic", speed_m_s=299792458.0, moving=moving, positions=True,
+        walks=True, clock_walks=True, form="mixed", radec=True,
+    )  # fmt: skip
+    for seed in (2, 4):
+        compare(seed, kind)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)

@@ -1,5 +1,7 @@
 """Poses of sensors: which axes they have, and how these move."""
 
+from datetime import UTC, datetime
+
 import numpy as np
 import pytest
 from differences import derivative
@@ -77,7 +79,11 @@ def test_local_enu_is_y_x_z_and_xyz_is_the_frame():
     np.testing.assert_array_equal(found.axes[1], np.eye(3))
 
 
-def test_axes_that_are_not_supported():
+@pytest.mark.parametrize(
+    ("frame", "epoch", "what"),
+    [("ecef", None, "no epoch"), ("local", datetime(2024, 3, 20, tzinfo=UTC), "frame local")],
+)
+def test_the_sky_needs_an_epoch_and_the_earth(frame, epoch, what):
     sensor = Sensor(name="S7", position_m=PLACE, axes="radec")
-    with pytest.raises(InputError, match=r"'S7' measures in 'radec' axes.*expected enu, xyz or"):
-        SensorGeometry([sensor], "ecef")
+    with pytest.raises(InputError, match=rf"'S7' has axes radec and the recording has {what}; exp"):
+        SensorGeometry([sensor], frame, epoch=epoch)

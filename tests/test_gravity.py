@@ -5,9 +5,17 @@ import pytest
 from differences import assert_derivative, derivative
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.polynomial.legendre import legval
 from scipy.integrate import solve_ivp
 
-from geograph.constants import EARTH_GM_M3_S2, EARTH_J2, EARTH_RADIUS_M, EARTH_ROTATION_RAD_S
+from geograph.constants import (
+    EARTH_GM_M3_S2,
+    EARTH_J2,
+    EARTH_J3,
+    EARTH_J4,
+    EARTH_RADIUS_M,
+    EARTH_ROTATION_RAD_S,
+)
 from geograph.factors.gravity import acceleration, propagate
 from geograph.geodesy import ecef_from_geodetic
 
@@ -16,11 +24,15 @@ seeds = st.integers(0, 2**32 - 1)
 SPIN = np.array([0.0, 0.0, EARTH_ROTATION_RAD_S])
 
 
-def potential(position):
-    """Return -GM/r (1 - J2 (R/r)^2 P2(sin latitude)), the usual zonal expansion."""
+def potential(position, degree=2):
+    """Return -GM/r (1 - sum Jn (R/r)^n Pn(sin latitude)), the usual zonal expansion."""
     r = np.linalg.norm(position)
-    legendre = 1.5 * (position[2] / r) ** 2 - 0.5
-    return -EARTH_GM_M3_S2 / r * (1.0 - EARTH_J2 * (EARTH_RADIUS_M / r) ** 2 * legendre)
+    series = sum(
+        harmonic * (EARTH_RADIUS_M / r) ** n * legval(position[2] / r, np.eye(n + 1)[n])
+        for n, harmonic in ((2, EARTH_J2), (3, EARTH_J3), (4, EARTH_J4))
+        if n <= degree
+    )
+    return -EARTH_GM_M3_S2 / r * (1.0 - series)
 
 
 def random_state(rng):
@@ -32,23 +44,23 @@ def random_state(rng):
 
 
 @PROFILE
-@given(seeds)
-def test_acceleration_is_the_gradient_and_the_turning(seed):
+@given(seeds, st.sampled_from([2, 4]))
+def test_acceleration_is_the_gradient_and_the_turning(seed, degree):
     position, velocity = random_state(np.random.default_rng(seed))
-    gravity = -derivative(lambda at: [potential(at)], position, 1e4)[0]
+    gravity = -derivative(lambda at: [potential(at, degree)], position, 1e4)[0]
     turning = -2.0 * np.cross(SPIN, velocity) - np.cross(SPIN, np.cross(SPIN, position))
-    found, _, _ = acceleration(position[None], velocity[None], "ecef")
+    found, _, _ = acceleration(position[None], velocity[None], "ecef", degree)
     np.testing.assert_allclose(found[0], gravity + turning, rtol=0.0, atol=1e-8)
 
 
 @PROFILE
-@given(seeds, st.sampled_from(["ecef", "local"]))
-def test_derivatives_of_the_acceleration(seed, frame):
+@given(seeds, st.sampled_from([("ecef", 2), ("ecef", 4), ("local", 2)]))
+def test_derivatives_of_the_acceleration(seed, model):
     position, velocity = random_state(np.random.default_rng(seed))
-    _, by_position, by_velocity = acceleration(position[None], velocity[None], frame)
+    _, by_position, by_velocity = acceleration(position[None], velocity[None], *model)
     assert_derivative(
         by_position[0],
-        lambda at: acceleration(at[None], velocity[None], frame)[0],
+        lambda at: acceleration(at[None], velocity[None], *model)[0],
         position,
         6e3,
         rtol=1e-8,
@@ -56,7 +68,7 @@ def test_derivatives_of_the_acceleration(seed, frame):
     )
     assert_derivative(
         by_velocity[0],
-        lambda at: acceleration(position[None], at[None], frame)[0],
+        lambda at: acceleration(position[None], at[None], *model)[0],
         velocity,
         10.0,
         rtol=1e-8,
@@ -163,3 +175,36 @@ def test_projectile_in_a_local_frame():
     end, _ = propagate(np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]]), np.array([2.0]), "local")
     expected = [9.0, 12.0, 15.0 - 0.5 * 9.80665 * 4.0, 4.0, 5.0, 6.0 - 2.0 * 9.80665]
     np.testing.assert_allclose(end[0], expected, rtol=1e-14)
+
+
+def test_three_orbits_in_steps_of_a_minute():
+    """Transitions from knot to knot over a gap, against one integration in axes at rest."""
+    position = np.array([6.9e6, 0.0, 0.0])
+    velocity = np.array([0.0, 4.2e3, 6.1e3])
+
+    def rates(_, state):
+        p = state[:3]
+        gravity, _, _ = acceleration(p[None], np.zeros((1, 3)), "ecef", 4)
+        # Zonal harmonics are the same in axes at rest; what turns is taken off again.
+        return np.concatenate([state[3:], gravity[0] + np.cross(SPIN, np.cross(SPIN, p))])
+
+    start = np.concatenate([position, velocity + np.cross(SPIN, position)])
+    duration = 3.0 * 5700.0
+    end = solve_ivp(rates, (0.0, duration), start, method="DOP853", rtol=1e-13, atol=1e-6).y[:, -1]
+    angle = -EARTH_ROTATION_RAD_S * duration
+    cos, sin = np.cos(angle), np.sin(angle)
+    expected = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ end[:3]
+    state = np.concatenate([position, velocity])[None]
+    whole = np.eye(6)
+    for _ in range(285):
+        state, jacobian = propagate(state, np.array([60.0]), "ecef", 4)
+        whole = jacobian[0] @ whole
+    assert np.linalg.norm(state[0, :3] - expected) < 0.01
+    # The product of the steps' derivatives is the derivative of the whole.
+    moved = []
+    for sign in (1.0, -1.0):
+        other = np.concatenate([position + sign * np.array([3.0, 0.0, 0.0]), velocity])[None]
+        for _ in range(285):
+            other, _ = propagate(other, np.array([60.0]), "ecef", 4)
+        moved.append(other[0])
+    np.testing.assert_allclose(whole[:, 0], (moved[0] - moved[1]) / 6.0, rtol=1e-5, atol=1e-8)

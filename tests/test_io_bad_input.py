@@ -246,7 +246,6 @@ CASES = {
         "../b.csv",
         r"'../b.csv'; expected the name of",
     ),
-    "later axes": ("recording.toml", '"xyz"', '"radec"', r"axes radec are not supported .* yet"),
     "axes": ("recording.toml", '"xyz"', '"xzy"', r"unknown axes 'xzy'; did you mean xyz\?"),
     "refraction": (
         "recording.toml",

@@ -110,3 +110,14 @@ def test_a_dense_burst_has_knots_of_its_own():
     times = np.concatenate([np.linspace(0.0, 4.5, 60), np.arange(10.0, 1000.0, 10.0)])
     knots = place_knots(times, 1.0, automatic=True)
     assert np.diff(knots[knots <= 4.5]).max() < 0.2
+
+
+def test_gaps_are_filled_where_an_interval_may_not_be_long():
+    """Two passes of bearings, half an hour apart: knots at their times, and between them."""
+    times = np.concatenate([np.arange(0.0, 50.0, 10.0), 1800.0 + np.arange(0.0, 50.0, 10.0)])
+    knots = place_knots(times, 1.0, automatic=True, longest_s=60.0)
+    assert np.isin(times, knots).all()
+    assert np.diff(knots).max() <= 60.0
+    assert np.diff(knots).min() > 9.0
+    assert knots.size == times.size + 29
+    np.testing.assert_array_equal(place_knots(times, 1.0, automatic=True), times)

@@ -220,6 +220,7 @@ def _session(
             recording.sensors,
             recording.propagation_speed_m_s,
             terrain=recording.terrain is not None,
+            epoch=recording.epoch,
         ),
         output=output,
         report=_say,

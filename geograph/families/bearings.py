@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.factors.aberration import astrometric_sight
 from geograph.factors.attitude import Turned, misaligned
 from geograph.factors.bearing import coordinate_residual, predict_bearing, tangent_residual
 from geograph.factors.kinematics import hermite_coefficients
@@ -107,6 +108,7 @@ class BearingFamily(SensorFamily):
         self._clocked = CLOCK in states.channels
         self._fast = SPEED in states.channels
         self._turned = MISALIGNMENT in states.channels
+        self._stars = geometry.stars(bearings.sensor, bearings.time_s)
         self._light_time = np.zeros(len(bearings))
         self._walk_time = bearings.time_s.copy()
         self._poses: SensorPoses | None = None
@@ -243,6 +245,26 @@ class BearingFamily(SensorFamily):
         angles = errors[:, MISALIGNMENT : MISALIGNMENT + 3]
         return misaligned(sight_axes, angles, jacobian=jacobian)
 
+    def _on_the_sky(
+        self, sight_axes: NDArray[np.float64], *, jacobian: bool
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """Return lines of sight as measured, and their derivatives in the rows against the stars.
+
+        An aberration goes with the Earth's velocity at the time tag, which a clock does not change.
+        """
+        if self._stars is None:
+            return sight_axes, None
+        rows, stars = self._stars
+        seen = sight_axes.copy()
+        seen[rows], by_sight = astrometric_sight(
+            sight_axes[rows],
+            stars.earth_velocity,
+            stars.sun_to_earth,
+            stars.bending,
+            jacobian=jacobian,
+        )
+        return seen, by_sight
+
     def _residual(
         self, sight_axes: NDArray[np.float64], errors: NDArray[np.float64], jacobian: bool
     ) -> BearingResidual:
@@ -284,7 +306,7 @@ class BearingFamily(SensorFamily):
             compiled is not None
             and isinstance(state, KinematicPathState)
             and path.knots_s.size > 1
-            and not (self._turned or self.terms.chains.row.size)
+            and not (self._turned or self._stars is not None or self.terms.chains.row.size)
         ):
             return self._compiled(path, state, values, jacobian=jacobian)
         found, place, poses, errors = self._find(path, state, values)
@@ -293,7 +315,12 @@ class BearingFamily(SensorFamily):
             # Read where the derivative is taken, in the interval of the emission.
             errors = self._errors(path, values, place.interval)
         turned = self._in_true_axes(poses, line, errors, jacobian=jacobian)
-        result = self._residual(turned.line_of_sight_m, errors, jacobian)
+        seen, by_sky = self._on_the_sky(turned.line_of_sight_m, jacobian=jacobian)
+        result = self._residual(seen, errors, jacobian)
+        if by_sky is not None and self._stars is not None:
+            assert result.by_line_of_sight is not None
+            rows = self._stars[0]
+            result.by_line_of_sight[rows] = result.by_line_of_sight[rows] @ by_sky
         white = self._white
         residual = result.value * white
         constant, walks = self.terms.constants, self.terms.chains
@@ -453,7 +480,8 @@ class BearingFamily(SensorFamily):
         state = path.at_state(values.path, jacobian=False)
         found, place, poses, errors = self._find(path, state, values)
         turned = self._in_true_axes(poses, found.line_of_sight_m, errors)
-        bearing, _ = predict_bearing(turned.line_of_sight_m)
+        seen, _ = self._on_the_sky(turned.line_of_sight_m, jacobian=False)
+        bearing, _ = predict_bearing(seen)
         bearing += errors[:, [AZIMUTH, ELEVATION]]
         turns = np.round((self.bearings.azimuth_rad - bearing[:, 0]) / (2.0 * np.pi))
         bearing[:, 0] += 2.0 * np.pi * turns

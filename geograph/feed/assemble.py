@@ -18,6 +18,7 @@ from geograph.io.tables import Kind, Table, TextBuilder, check_magnitudes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
+    from datetime import datetime
 
     from geograph.feed.rows import Row
     from geograph.measurements import Constraints, Measurements
@@ -53,14 +54,22 @@ class Assembler:
         Speed of propagation.
     terrain
         Whether there is a terrain that heights above it can be counted from.
+    epoch
+        Instant of time zero, which sensors with axes ``radec`` need.
     """
 
     def __init__(
-        self, sensors: Mapping[str, Sensor], speed_m_s: float, *, terrain: bool = False
+        self,
+        sensors: Mapping[str, Sensor],
+        speed_m_s: float,
+        *,
+        terrain: bool = False,
+        epoch: datetime | None = None,
     ) -> None:
         self._sensors = sensors
         self._speed_m_s = speed_m_s
         self._terrain = terrain
+        self._epoch = epoch
 
     def tables(self, rows: Sequence[Row]) -> list[Measurements | Constraints]:
         """Return what rows hold.
@@ -111,7 +120,7 @@ class Assembler:
         if name == "constraints":
             return constraints_of(table, terrain=self._terrain)
         if name == "bearings":
-            return bearings_of(table, self._sensors)
+            return bearings_of(table, self._sensors, self._epoch)
         if not math.isfinite(self._speed_m_s):
             raise InputError(
                 f"{name} depend on the speed of the signal, and propagation_speed_m_s is inf; "

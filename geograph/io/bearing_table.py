@@ -13,6 +13,7 @@ from geograph.measurements import Bearings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from datetime import datetime
 
     from numpy.typing import NDArray
 
@@ -33,7 +34,9 @@ BEARING_COLUMNS = (
 )
 
 
-def bearings_of(table: Table, sensors: Mapping[str, Sensor]) -> Bearings:
+def bearings_of(
+    table: Table, sensors: Mapping[str, Sensor], epoch: datetime | None = None
+) -> Bearings:
     """Return what a table of bearings holds.
 
     Parameters
@@ -42,6 +45,8 @@ def bearings_of(table: Table, sensors: Mapping[str, Sensor]) -> Bearings:
         As read with :data:`BEARING_COLUMNS`.
     sensors
         By name, in the order of their indices.
+    epoch
+        Instant of time zero, which sensors with axes ``radec`` need.
 
     Raises
     ------
@@ -52,6 +57,7 @@ def bearings_of(table: Table, sensors: Mapping[str, Sensor]) -> Bearings:
     azimuth, elevation = table.angle_rad("azimuth"), table.angle_rad("elevation")
     isotropic, sigma_azimuth, sigma_elevation = _sigmas(table, np.isnan(elevation))
     check_covered(table, "time_s", sensor, sensors)
+    check_stars(table, sensor, elevation, sensors, epoch)
     return Bearings(
         time_s=table.numbers["time_s"],
         sensor=sensor,
@@ -62,6 +68,45 @@ def bearings_of(table: Table, sensors: Mapping[str, Sensor]) -> Bearings:
         isotropic=isotropic,
         line=table.line,
     )
+
+
+def check_stars(
+    table: Table,
+    sensor: NDArray[np.int64],
+    declination_rad: NDArray[np.float64],
+    sensors: Mapping[str, Sensor],
+    epoch: datetime | None,
+) -> None:
+    """Raise InputError at the first row against the stars that lacks what these need.
+
+    Parameters
+    ----------
+    table
+        The table.
+    sensor, declination_rad
+        Shape (n,): index of the sensor, and its second angle.
+    sensors
+        By name, in the order of their indices.
+    epoch
+        Instant of time zero.
+    """
+    against = np.array([entry.axes == "radec" for entry in sensors.values()], dtype=bool)
+    rows = against[sensor]
+    if not rows.any():
+        return
+    assert epoch is not None
+    table.check(
+        ~(rows & np.isnan(declination_rad)),
+        table.column_of("elevation") or "elevation_deg",
+        "expected a declination: a right ascension alone has no aberration to be taken off",
+        given="empty cell" if table.column_of("elevation") else "column is missing",
+    )
+    from geograph.earth import UNKNOWN_ORIENTATION, orientation_known
+
+    time = table.numbers["time_s"]
+    known = np.ones(time.size, dtype=bool)
+    known[rows] = orientation_known(epoch, time[rows], table.place)
+    table.check(known, "time_s", f"after {epoch:%Y-%m-%dT%H:%M:%SZ}, {UNKNOWN_ORIENTATION}")
 
 
 def _sigmas(

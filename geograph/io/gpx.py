@@ -23,7 +23,9 @@ _ZONE = re.compile(r"(.*T.*)([+-])(\d\d):(\d\d)", re.ASCII)
 _HIGHEST_M = 1e8
 
 
-def read_gpx(path: Path, epoch_tai_ns: int, *, geoid_height_m: float = 0.0) -> Trajectory:
+def read_gpx(
+    path: Path, epoch_tai_ns: int, *, geoid_height_m: float = 0.0, content: bytes | None = None
+) -> Trajectory:
     """Read the track points of a GPX file as a trajectory in ECEF.
 
     Parameters
@@ -35,13 +37,15 @@ def read_gpx(path: Path, epoch_tai_ns: int, *, geoid_height_m: float = 0.0) -> T
     geoid_height_m
         Height of mean sea level above the ellipsoid, which is added to ``ele``: that is meant from
         mean sea level, though not all receivers keep to it.
+    content
+        What the file holds, if it is in an archive.
 
     Raises
     ------
     InputError
         If it is no GPX, a point lacks a time or a height, or times do not increase.
     """
-    root = parse_xml(read_file(path), path)
+    root = parse_xml(read_file(path) if content is None else content, path)
     if root.name != "gpx":
         raise InputError(f"is XML of <{root.name[:40]}>; expected <gpx>", path=path, line=root.line)
     points = list(root.below("trkpt"))

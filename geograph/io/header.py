@@ -14,6 +14,7 @@ from geograph.errors import InputError
 from geograph.io.header_terrain import TerrainEntry, file_name, read_terrain_entry
 from geograph.io.messages import shown
 from geograph.io.tables import MAX_COORDINATE_M, MAX_VALUE
+from geograph.io.trajectories import EPHEMERIS_SUFFIXES
 from geograph.recording import Frame, LossName, MotionName, SmoothSettings
 from geograph.sensors import SensorErrors
 
@@ -64,8 +65,7 @@ _METRE_KEYS = {
     "clock_instability_m_sqrt_s": "clock_instability_s_sqrt_s",
 }
 """Errors of clocks by the way of the signal in their time: divided by the speed of propagation."""
-_AXES = ("enu", "xyz", "body")
-_LATER_AXES = ("radec",)
+_AXES = ("enu", "xyz", "body", "radec")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -213,8 +213,9 @@ def _sensor(
                 document,
                 (*path, "trajectory"),
                 trajectory,
-                (".csv", ".parquet"),
-                ".csv or .parquet file",
+                (".csv", ".parquet", *(EPHEMERIS_SUFFIXES if frame == "ecef" else ())),
+                ".csv or .parquet file"
+                + (", or of an ephemeris (.oem, .tle, .xml, .gpx)" if frame == "ecef" else ""),
             )
         ),
         axes=axes,
@@ -285,9 +286,10 @@ def valid_sensor_name(name: str) -> bool:
 def _axes(document: Document, path: KeyPath, value: object, frame: Frame) -> Axes:
     if value is None:
         return "enu" if frame == "ecef" else "xyz"
-    if value in _LATER_AXES:
-        document.fail(path, f"axes {value} are not supported by this version of geograph yet")
-    return cast("Axes", document.choice(path, value, _AXES))
+    axes = cast("Axes", document.choice(path, value, _AXES))
+    if axes == "radec" and frame != "ecef":
+        document.fail(path, f"axes radec need the frame ecef, which knows the Earth; given {frame}")
+    return axes
 
 
 def _position(

@@ -8,9 +8,16 @@ from __future__ import annotations
 
 import re
 from datetime import UTC, datetime
-from typing import Literal, cast, get_args
+from typing import TYPE_CHECKING, Literal, cast, get_args
 
 import numpy as np
+
+from geograph.errors import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
 
 TimeSystem = Literal["UTC", "TAI", "TT", "GPS"]
 
@@ -53,6 +60,12 @@ def tai_to_utc_ns(tai_ns: int) -> int:
     """Return the UTC calendar count of an instant; a leap second counts as the one after it."""
     leaps = int(np.searchsorted(_LEAPS_TAI_NS, tai_ns, side="right"))
     return tai_ns - (_OFFSET_1972_S + leaps) * SECOND_NS
+
+
+def tai_to_utc_all_ns(tai_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the UTC calendar counts of instants; see :func:`tai_to_utc_ns`."""
+    leaps = np.searchsorted(_LEAPS_TAI_NS, tai_ns, side="right")
+    return np.asarray(tai_ns - (_OFFSET_1972_S + leaps) * SECOND_NS)
 
 
 def in_system(count_ns: int, system: TimeSystem) -> int:
@@ -164,6 +177,22 @@ def from_datetime(moment: datetime) -> int:
     utc = moment.astimezone(UTC)
     days = day_ns(utc.year, utc.month, utc.day)
     return clock_ns(days, utc.hour, utc.minute, utc.second, utc.microsecond * 1000)
+
+
+def instant_of(epoch: datetime, place: Path | str | None = None) -> int:
+    """Return the instant of a recording's epoch; InputError where UTC did not exist yet.
+
+    Parameters
+    ----------
+    epoch
+        With a zone.
+    place
+        The file it stands in, for messages.
+    """
+    try:
+        return from_datetime(epoch)
+    except ValueError as error:
+        raise InputError(f"is in {error}", path=place, column="epoch") from None
 
 
 def utc_text(tai_ns: int, digits: int = 6) -> str:

@@ -20,6 +20,7 @@ from geograph.io.tables import NO_ROWS, find_table, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from datetime import datetime
 
     from geograph.io.document import Document
     from geograph.io.source import Source
@@ -47,7 +48,12 @@ class MeasurementTables:
 
 
 def read_measurements(
-    source: Source, document: Document, sensors: Mapping[str, Sensor], *, speed_m_s: float
+    source: Source,
+    document: Document,
+    sensors: Mapping[str, Sensor],
+    *,
+    speed_m_s: float,
+    epoch: datetime | None = None,
 ) -> MeasurementTables:
     """Read all tables of measurements.
 
@@ -61,6 +67,8 @@ def read_measurements(
         By name, in the order of their indices.
     speed_m_s
         Speed of propagation.
+    epoch
+        Instant of time zero.
 
     Raises
     ------
@@ -91,7 +99,7 @@ def read_measurements(
     bearings, arrivals = filled.get("bearings"), filled.get("arrivals")
     times, frequencies = filled.get("time_differences"), filled.get("frequency_differences")
     return MeasurementTables(
-        bearings=None if bearings is None else bearings_of(bearings, sensors),
+        bearings=None if bearings is None else bearings_of(bearings, sensors, epoch),
         arrivals=None if arrivals is None else arrivals_of(arrivals, sensors),
         time_differences=None if times is None else time_differences_of(times, sensors),
         frequency_differences=(

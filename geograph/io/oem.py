@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.earth import earth_fixed_from_gcrs, earth_fixed_from_teme, frame_bias
 from geograph.errors import InputError
 from geograph.io.ccsds_text import Entry, is_xml, kvn_entries
-from geograph.io.earth import earth_fixed_from_gcrs, earth_fixed_from_teme, frame_bias
 from geograph.io.instants import SECOND_NS
 from geograph.io.messages import shown
 from geograph.io.source import read_file
@@ -37,26 +37,30 @@ class _Segment:
     states: list[tuple[Entry, str, list[str]]] = field(default_factory=list)
 
 
-def read_oem(path: Path, epoch_tai_ns: int, span_s: Span) -> Trajectory:
+def read_oem(
+    path: Path, epoch_tai_ns: int, span_s: Span, *, content: bytes | None = None
+) -> Trajectory:
     """Read an ephemeris as a trajectory in ECEF.
 
     Parameters
     ----------
     path
         The message, in keyword = value notation or XML. States in an ITRF or WGS 84 are taken as
-        they are, those in EME2000, ICRF, GCRF and TEME turned (:mod:`geograph.io.earth`).
+        they are, those in EME2000, ICRF, GCRF and TEME turned (:mod:`geograph.earth`).
     epoch_tai_ns
         Instant from which seconds count (:mod:`geograph.io.instants`).
     span_s
         What is wanted; points farther apart than 10 s are made denser
         (:func:`geograph.io.trajectories.made_dense`), on the axes of the message.
+    content
+        What the file holds, if it is in an archive.
 
     Raises
     ------
     InputError
         If it is no such message, its frame is not known, or times do not increase.
     """
-    content = read_file(path)
+    content = read_file(path) if content is None else content
     segments = _from_xml(content, path) if is_xml(content) else _from_kvn(content, path)
     times: list[int] = []
     lines: list[int] = []

@@ -11,6 +11,7 @@ from geograph.errors import InputError
 from geograph.io.constraint_table import CONSTRAINT_COLUMNS, constraints_of
 from geograph.io.document import Document
 from geograph.io.header import MIN_RADIUS_ECEF_M, Header, SensorEntry, read_header
+from geograph.io.instants import instant_of
 from geograph.io.measurement_tables import MEASUREMENT_COLUMNS, read_measurements
 from geograph.io.messages import shown
 from geograph.io.sensor_columns import TIME
@@ -24,11 +25,13 @@ from geograph.io.tables import (
     find_table,
     read_table,
 )
+from geograph.io.trajectories import EPHEMERIS_SUFFIXES, MARGIN_S, Span, read_ephemeris
 from geograph.measurements import Truth
 from geograph.recording import Recording
 from geograph.sensors import Sensor, Trajectory
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -36,6 +39,9 @@ if TYPE_CHECKING:
     from geograph.measurements import Constraints
     from geograph.recording import Frame
     from geograph.terrain import Terrain
+
+# For which two-line elements are propagated where no measurement says when it is taken.
+_FEED_SPAN_S = (-3600.0, 2.0 * 86400.0)
 
 TABLES = (*MEASUREMENT_COLUMNS, "constraints", "truth")
 
@@ -85,10 +91,14 @@ def read(path: Path | str) -> Recording:
         If anything in the recording is wrong: the first thing found, in one line.
     """
     source = open_source(path)
-    document, header, setup = _read_setup(source)
+    document, header, setup = _read_setup(source, _measured_span)
     _check_file_names(source, header)
     measured = read_measurements(
-        source, document, setup.sensors, speed_m_s=header.propagation_speed_m_s
+        source,
+        document,
+        setup.sensors,
+        speed_m_s=header.propagation_speed_m_s,
+        epoch=header.epoch,
     )
     recording = replace(
         setup,
@@ -111,7 +121,8 @@ def read_setup(path: Path | str) -> Recording:
     Parameters
     ----------
     path
-        Its folder, or a .zip archive of one. It may have tables, which are not read.
+        Its folder, or a .zip archive of one. It may have tables, which are not read. Two-line
+        elements of a sensor are taken for two days from the epoch.
 
     Returns
     -------
@@ -123,10 +134,27 @@ def read_setup(path: Path | str) -> Recording:
     InputError
         If anything in what is read is wrong: the first thing found, in one line.
     """
-    return _read_setup(open_source(path))[2]
+    return _read_setup(open_source(path), lambda _: _FEED_SPAN_S)[2]
 
 
-def _read_setup(source: Source) -> tuple[Document, Header, Recording]:
+def _measured_span(source: Source) -> Span:
+    """Return the time that a recording's measurements span, with a margin for clocks."""
+    low, high = np.inf, -np.inf
+    for name, columns in MEASUREMENT_COLUMNS.items():
+        file = find_table(source, name)
+        if file is None:
+            continue
+        numbers = read_table(source, file, columns, may_be_empty=True).numbers
+        time = numbers["toa_s" if name == "arrivals" else "time_s"]
+        if time.size:
+            low, high = min(low, float(time.min())), max(high, float(time.max()))
+    # Without a measurement there is another message to come.
+    return (low - MARGIN_S, high + MARGIN_S) if low <= high else (-MARGIN_S, MARGIN_S)
+
+
+def _read_setup(
+    source: Source, span_of: Callable[[Source], Span]
+) -> tuple[Document, Header, Recording]:
     if not source.has(HEADER_NAME):
         raise InputError(
             f"no {HEADER_NAME} in it; expected a recording's folder, or a .zip of one",
@@ -139,7 +167,7 @@ def _read_setup(source: Source) -> tuple[Document, Header, Recording]:
         name=source.name,
         frame=header.frame,
         sensors={
-            name: _read_sensor(source, document, entry, header.frame)
+            name: _read_sensor(source, document, entry, header, span_of)
             for name, entry in header.sensors.items()
         },
         terrain=_read_terrain(source, document, header),
@@ -170,8 +198,14 @@ def _check_file_names(source: Source, header: Header) -> None:
             )
 
 
-def _read_sensor(source: Source, document: Document, entry: SensorEntry, frame: Frame) -> Sensor:
-    trajectory = None
+def _read_sensor(
+    source: Source,
+    document: Document,
+    entry: SensorEntry,
+    header: Header,
+    span_of: Callable[[Source], Span],
+) -> Sensor:
+    trajectory, frame = None, header.frame
     if entry.trajectory is not None:
         if not source.has(entry.trajectory):
             document.fail(
@@ -179,7 +213,16 @@ def _read_sensor(source: Source, document: Document, entry: SensorEntry, frame: 
                 f"{shown(entry.trajectory)} is not in the recording; expected the name of a .csv "
                 "or .parquet file in its folder",
             )
-        trajectory = _read_trajectory(source, entry.trajectory, frame)
+        if entry.trajectory.endswith(EPHEMERIS_SUFFIXES):
+            assert header.epoch is not None
+            trajectory = read_ephemeris(
+                source.place(entry.trajectory),
+                instant_of(header.epoch, source.place(HEADER_NAME)),
+                span_of(source),
+                content=source.read_bytes(entry.trajectory),
+            )
+        else:
+            trajectory = _read_trajectory(source, entry.trajectory, frame)
         if entry.axes == "body" and trajectory.attitude_rad is None:
             raise InputError(
                 f"has no yaw, pitch and roll, and sensor {shown(entry.name)} has axes body; "

@@ -65,7 +65,7 @@ class Sighting:
     kind
         Which of the two.
     equinox
-        Of right ascension and declination, see :func:`geograph.io.earth.icrs_from_equinox`.
+        Of right ascension and declination, see :func:`geograph.earth.icrs_from_equinox`.
     sigma_rad
         On the sky; NaN: the format has none.
     sigma_time_s

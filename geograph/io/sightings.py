@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from geograph import earth
 from geograph.errors import InputError
 from geograph.geodesy import enu_axes
-from geograph.io import earth
 from geograph.io.ecsv import option_value
 from geograph.io.instants import SECOND_NS, as_datetime, minute_of
 from geograph.io.messages import shown

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from geograph.sensors import Refraction
 
 TRAJECTORY_SUFFIXES = (".csv", ".gpx", ".oem", ".parquet", ".tle", ".xml")
-# Of a trajectory read for some seconds, this much more on either side.
-_MARGIN_S = 60.0
 
 _ERROR_KEYS = {
     entry.name.replace("_rad", "_deg"): entry.name
@@ -158,10 +156,10 @@ def resolve(station: Station, name: str, epoch_tai_ns: int, span_s: tuple[float,
         return dataclasses.replace(station.sensor, name=name, position_m=None, trajectory=moving)
     if station.file is None:
         return dataclasses.replace(station.sensor, name=name)
-    from geograph.io.trajectories import read_trajectory
+    from geograph.io.trajectories import MARGIN_S, read_trajectory
 
     first, last = span_s
-    trajectory = read_trajectory(station.file, epoch_tai_ns, (first - _MARGIN_S, last + _MARGIN_S))
+    trajectory = read_trajectory(station.file, epoch_tai_ns, (first - MARGIN_S, last + MARGIN_S))
     if not trajectory.time_s[0] <= first <= last <= trajectory.time_s[-1]:
         raise InputError(
             f"covers {trajectory.time_s[0]:.9g} to {trajectory.time_s[-1]:.9g} s and the "

@@ -1,7 +1,7 @@
 """CCSDS tracking data messages (503.0-B-2), in keyword = value notation or XML.
 
 Angles are azimuth (clockwise from north) and elevation, or right ascension and declination, which
-become azimuth and elevation at the station (:mod:`geograph.io.earth`). Differenced data, PATH_2
+become azimuth and elevation at the station (:mod:`geograph.earth`). Differenced data, PATH_2
 less PATH_1, are differences of arrival time and of received frequency of the sensor at the end of
 PATH_2 against that at the end of PATH_1.
 """

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.earth import earth_fixed_from_teme
 from geograph.errors import InputError
-from geograph.io.earth import earth_fixed_from_teme
 from geograph.io.instants import DAY_NS, SECOND_NS, tai_to_utc_ns
 from geograph.io.messages import shown
 from geograph.io.source import decode, read_file
@@ -22,7 +22,9 @@ _JD_1970 = 2440587.5
 _LONGEST_SPAN_S = 30.0 * 86400.0
 
 
-def read_tle(path: Path, epoch_tai_ns: int, span_s: Span) -> Trajectory:
+def read_tle(
+    path: Path, epoch_tai_ns: int, span_s: Span, *, content: bytes | None = None
+) -> Trajectory:
     """Return where a satellite of two-line elements was, in ECEF, every 10 s of a span.
 
     Elements are good to about a kilometre on their day, and worse away from it; what a sensor's
@@ -36,13 +38,15 @@ def read_tle(path: Path, epoch_tai_ns: int, span_s: Span) -> Trajectory:
         Instant from which seconds count (:mod:`geograph.io.instants`).
     span_s
         What is wanted, seconds.
+    content
+        What the file holds, if it is in an archive.
 
     Raises
     ------
     InputError
         If the elements are damaged, SGP4 fails, or a package is missing.
     """
-    satellite = _satellite(path)
+    satellite = _satellite(path, read_file(path) if content is None else content)
     first, last = span_s
     if last - first > _LONGEST_SPAN_S:
         raise InputError(
@@ -68,7 +72,7 @@ def read_tle(path: Path, epoch_tai_ns: int, span_s: Span) -> Trajectory:
     return Trajectory((tai - epoch_tai_ns) / SECOND_NS, position)
 
 
-def _satellite(path: Path) -> Any:
+def _satellite(path: Path, content: bytes) -> Any:
     try:
         from sgp4.api import Satrec
     except ImportError:
@@ -78,7 +82,7 @@ def _satellite(path: Path) -> Any:
         ) from None
     lines = [
         (number, line.rstrip())
-        for number, line in enumerate(decode(read_file(path), path).splitlines(), start=1)
+        for number, line in enumerate(decode(content, path).splitlines(), start=1)
         if line.strip()
     ]
     marked = [entry for entry in lines if entry[1][:2] in ("1 ", "2 ")]

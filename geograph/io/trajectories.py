@@ -19,11 +19,18 @@ if TYPE_CHECKING:
 Span = tuple[float, float]
 """First and last second, after the epoch, for which a trajectory is wanted."""
 
+MARGIN_S = 60.0
+"""Of a trajectory that is read for some seconds, this much more is read on either side."""
+
 LONGEST_STEP_S = 10.0
 """Points of an ephemeris farther apart are made denser, because a recording's cubic spline between
 them would miss a low orbit by 3 dm a minute apart, but by less than 1 mm at this step."""
 
 _DEGREE = 7
+
+
+EPHEMERIS_SUFFIXES = (".gpx", ".oem", ".tle", ".xml")
+"""Files of trajectories that are not tables of a recording."""
 
 
 def read_trajectory(path: Path, epoch_tai_ns: int, span_s: Span) -> Trajectory:
@@ -44,22 +51,42 @@ def read_trajectory(path: Path, epoch_tai_ns: int, span_s: Span) -> Trajectory:
     InputError
         If it cannot be read.
     """
+    if path.suffix.lower() in EPHEMERIS_SUFFIXES:
+        return read_ephemeris(path, epoch_tai_ns, span_s)
+    from geograph.io.reader import read_trajectory_table
+
+    return read_trajectory_table(path)
+
+
+def read_ephemeris(
+    path: Path, epoch_tai_ns: int, span_s: Span, *, content: bytes | None = None
+) -> Trajectory:
+    """Read a trajectory from a file with one of :data:`EPHEMERIS_SUFFIXES`.
+
+    Parameters
+    ----------
+    path, epoch_tai_ns, span_s
+        As of :func:`read_trajectory`.
+    content
+        What the file holds, if it is in an archive.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
     suffix = path.suffix.lower()
     if suffix == ".gpx":
         from geograph.io.gpx import read_gpx
 
-        return read_gpx(path, epoch_tai_ns)
+        return read_gpx(path, epoch_tai_ns, content=content)
     if suffix == ".tle":
         from geograph.io.tle import read_tle
 
-        return read_tle(path, epoch_tai_ns, span_s)
-    if suffix in (".oem", ".xml"):
-        from geograph.io.oem import read_oem
+        return read_tle(path, epoch_tai_ns, span_s, content=content)
+    from geograph.io.oem import read_oem
 
-        return read_oem(path, epoch_tai_ns, span_s)
-    from geograph.io.reader import read_trajectory_table
-
-    return read_trajectory_table(path)
+    return read_oem(path, epoch_tai_ns, span_s, content=content)
 
 
 def seconds_after(tai_ns: NDArray[np.int64], epoch_tai_ns: int) -> NDArray[np.float64]:
