@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geograph.families import SensorFamily
+from geograph.incremental.curvature import TOLERANCE
 from geograph.incremental.judge import innovations, suspects
 from geograph.incremental.remake import let_go, resolve, respan, restart
 from geograph.incremental.review import check, look_over
@@ -27,6 +28,9 @@ _REVIEW_KNOTS = 20
 
 # Linearisations that follow one another at most.
 _ROUNDS = 8
+
+# Weighings by a loss that follow one another at most.
+_WEIGHINGS = 30
 
 # A start is tried again when so many times the measurements of the last attempt are there.
 _PATIENCE = 1.3
@@ -134,8 +138,22 @@ def _use(state: State, touched: set[int], new: set[int]) -> None:
             touched = touched | mark(state, doubtful, kept=False, judged=False)
             model.linearise(chain, sorted(touched))
     _solve_on(state)
+    if model.loss.name != "none":
+        _weigh_on(state, sorted(touched))
     if doubtful:
         _admit(state, doubtful)
+
+
+def _weigh_on(state: State, touched: list[int]) -> None:
+    """Weigh what is new again until the estimate stands: after a gap it was predicted far off."""
+    model, chain = state.running
+    for _ in range(_WEIGHINGS):
+        assert chain.final is not None
+        before = chain.final.step
+        model.linearise(chain, touched)
+        _solve_on(state)
+        if chain.final.distance(before) < TOLERANCE:
+            return
 
 
 def _solve_on(state: State) -> None:

@@ -73,6 +73,13 @@ class Final:
     step: NDArray[np.float64]
     known: NDArray[np.float64] | None = None
 
+    def distance(self, step: NDArray[np.float64]) -> float:
+        """Return how far other increments are, in posterior sigmas."""
+        gap = self.step - step
+        if self.root is not None:
+            return float(np.linalg.norm(self.root.T @ gap))
+        return float(np.sqrt(gap @ np.linalg.solve(self.covariance(), gap)))
+
     def covariance(self) -> NDArray[np.float64]:
         """Return the covariance, shape (d + s, d + s), scaled."""
         if self.known is not None:

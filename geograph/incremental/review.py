@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geograph.incremental.curvature import limits
+from geograph.incremental.curvature import TOLERANCE, limits
 from geograph.incremental.judge import choice
 from geograph.incremental.state import State, mark
 
@@ -40,11 +40,26 @@ def look_over(state: State) -> None:
     if _weights_changed(state):
         _weigh_again(state)
     check(state)
+    if state.running[0].loss.name != "none":
+        _settle(state)
     if state.robust:
         _choose(state)
     knots = len(chain.knots_s) + chain.gone
     state.reviewed = knots
     state.limits = limits(state.running[0], chain, state.total_rows)
+
+
+def _settle(state: State) -> None:
+    """Weigh everything by the loss again until the newest estimate stands."""
+    model, chain = state.running
+    for _ in range(_ROUNDS):
+        assert chain.final is not None
+        before = chain.final.step
+        model.linearise(chain, range(len(chain.pieces)))
+        chain.eliminate()
+        chain.solve_all()
+        if chain.final.distance(before) < TOLERANCE:
+            break
 
 
 def _weights_changed(state: State) -> bool:
