@@ -225,7 +225,7 @@ class Motion:
     ) -> NDArray[np.float64]:
         """Return f(x) alone, shape (n, 3m); see :meth:`predict`."""
         if self.ballistic:
-            return propagate(state, step_s, self.frame)[0]
+            return self.predict(state, step_s)[0]
         blocks = state.reshape(step_s.size, self.order, 3)
         return np.asarray(np.matmul(transition(self.order, step_s), blocks).reshape(state.shape))
 
