@@ -23,7 +23,17 @@ from geograph.errors import SolveError
 from geograph.plot import PICTURES
 from geograph.recording import LossName, MotionName, SmoothSettings
 
-COMMANDS = ("smooth", "bound", "example", "convert", "plot", "compare", "track")
+COMMANDS = (
+    "smooth",
+    "bound",
+    "example",
+    "simulate",
+    "montecarlo",
+    "convert",
+    "plot",
+    "compare",
+    "track",
+)
 
 
 def run(*arguments, **options):

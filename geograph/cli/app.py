@@ -20,6 +20,7 @@ from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotati
     ProcessNoiseAlong,
     Spacing,
 )
+from geograph.cli.simulate_command import simulate
 from geograph.cli.track_command import track
 
 app = typer.Typer(
@@ -184,4 +185,5 @@ def compare(
 
 app.command()(bound)
 app.command()(track)
+app.command()(simulate)
 app.command()(convert)
