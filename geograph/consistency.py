@@ -80,22 +80,24 @@ def mean_band(count: int, axes: int = AXES, *, alarm: float = 0.01) -> tuple[flo
     return float(low), float(high)
 
 
-def shares(values: NDArray[np.float64], axes: int = AXES) -> NDArray[np.float64]:
-    """Return the shares of NEES values in the bins of :data:`TAIL`, which add up to one."""
+def counts(values: NDArray[np.float64], axes: int = AXES) -> NDArray[np.int64]:
+    """Return how many NEES values lie in each bin of :data:`TAIL`; NaN in none."""
     from scipy.special import chdtrc
 
-    tail = chdtrc(axes, values)
+    tail = chdtrc(axes, values[~np.isnan(values)])
     # Edges descend; a value on an edge belongs to the bin of the larger tail.
     index = np.searchsorted(-TAIL, -tail, side="left") - 1
-    count = np.bincount(np.clip(index, 0, TAIL.size - 2), minlength=TAIL.size - 1)
-    return np.asarray(count / values.size)
+    return np.bincount(np.clip(index, 0, TAIL.size - 2), minlength=TAIL.size - 1)
+
+
+def shares(values: NDArray[np.float64], axes: int = AXES) -> NDArray[np.float64]:
+    """Return the shares of NEES values in the bins, which add up to one."""
+    return np.asarray(counts(values, axes) / values.size)
 
 
 def divergence(values: NDArray[np.float64], axes: int = AXES) -> float:
     """Return the Kullback-Leibler divergence of NEES values from chi-square, see the module."""
-    found, expected = shares(values, axes), -np.diff(TAIL)
-    some = found > 0.0
-    return float(np.sum(found[some] * np.log(found[some] / expected[some])))
+    return _divergence(counts(values, axes))
 
 
 def divergence_bias(count: int, axes: int = AXES, *, draws: int = 200, seed: int = 0) -> float:
@@ -129,5 +131,12 @@ def divergence_error(
         How many samples are drawn, and from which seed.
     """
     rng, runs = np.random.default_rng(seed), len(values)
-    again = [divergence(values[rng.integers(0, runs, runs)].ravel(), axes) for _ in range(draws)]
+    each = np.array([counts(row, axes) for row in values])
+    again = [_divergence(each[rng.integers(0, runs, runs)].sum(axis=0)) for _ in range(draws)]
     return float(np.std(again))
+
+
+def _divergence(count: NDArray[np.int64]) -> float:
+    found, expected = count / max(int(count.sum()), 1), -np.diff(TAIL)
+    some = found > 0.0
+    return float(np.sum(found[some] * np.log(found[some] / expected[some])))

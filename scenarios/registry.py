@@ -6,9 +6,11 @@ the same recording, bit for bit, with its truth table.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from geograph.errors import InputError
 from geograph.scenarios import parameters as parameters_of
@@ -103,13 +105,15 @@ class Scenario:
         """
         given = dict(values or {})
         try:
-            return self.recording(seed, parameters_of.changed(self.kind(), given))
+            made = self.recording(seed, parameters_of.changed(self.kind(), given))
+            _check_sigmas(made)
         except (ValueError, RuntimeError, ZeroDivisionError, IndexError, OverflowError) as error:
             shown = ", ".join(f"{key}={parameters_of.show(value)}" for key, value in given.items())
             what = f"scenario {self.name}{f' with {shown}' if shown else ''}, seed {seed}"
             raise InputError(f"{what}: cannot be simulated ({error}); change its parameters") from (
                 error
             )
+        return made
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,6 +307,15 @@ def _moving() -> Iterator[Scenario]:
             kind=partial(_given, variant),
             recording=_of_moving,
         )
+
+
+def _check_sigmas(recording: Recording) -> None:
+    for table in recording.tables.values():
+        for column in fields(table):
+            if column.name.startswith("sigma"):
+                least = float(np.nanmin(getattr(table, column.name), initial=np.inf))
+                if not least > 0.0:
+                    raise ValueError(f"a {column.name} of {least:g}; expected above 0")
 
 
 def _given(kind: Any) -> Any:

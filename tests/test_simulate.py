@@ -121,7 +121,7 @@ def test_what_does_not_fit_a_parameter_is_said(name, text, message):
         (["levy-simple", "--set", "bearings=0"], "cannot be simulated"),
         (["room", "--set", "order=2", "--set", "order=3"], "--set order is given twice"),
         (["room", "--set", "path=x"], "scenario room: unknown parameter 'path'"),
-        (["room", "--set", "sigma_rad=-1"], "expected a sigma above 0"),
+        (["room", "--set", "sigma_rad=-1"], "a sigma_azimuth_rad of -1; expected above 0"),
         (["room", "--seed", "-1"], "Invalid value for '--seed'"),
     ],
 )
