@@ -13,7 +13,7 @@ import signal
 import traceback
 from collections import Counter, deque
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -44,7 +44,7 @@ class Lost:
 
     reason: str
     details: str = ""
-    died: bool = False
+    died: bool = field(default=False, compare=False)
 
 
 @dataclass(eq=False)
