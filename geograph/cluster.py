@@ -96,7 +96,7 @@ def run_on_cluster(
         ahead = _AHEAD_AT_LEAST + _AHEAD * sum(client.nthreads().values())
         waiting = iter(enumerate(items))
         index_of: dict[str, int] = {}
-        done = as_completed(raise_errors=False)
+        done = as_completed(loop=client.loop, raise_errors=False)
 
         def submit() -> None:
             for index, item in waiting:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 FIGURES = "montecarlo.json"
 """Name of the figures in the folder of a study."""
 
-_MOST_FAILURES = 8
+_MOST_FAILURES, _WIDTH = 8, 120
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,6 +205,7 @@ def _failures(figures: Mapping[str, Any], request: Request) -> str:
         words = "".join(f" --set {key}={_shown(value)}" for key, value in chosen.items())
         for failure in point["failures"]:
             what = f"{failure['status']}: {failure['message']}".removesuffix(": ")
+            what = what if len(what) <= _WIDTH else f"{what[:_WIDTH]}..."
             lines.append(
                 f"  {what} (geograph simulate {request.name} --seed {failure['seed']}{words})"
             )

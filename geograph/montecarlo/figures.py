@@ -139,7 +139,7 @@ def _scores(runs: Sequence[Run]) -> dict[str, Any]:
         "anees_expected": axes,
         "anees_band_99": list(mean_band(len(runs), axes, alarm=ALARM)),
         "divergence": divergence(values, axes),
-        "divergence_error": divergence_error(nees, axes),
+        "divergence_error": divergence_error(nees, axes) if len(runs) > 1 else None,
         "divergence_of_honest": divergence_bias(len(runs), axes),
         "coverage": [_coverage(nees, probability, axes) for probability in PROBABILITIES],
         "histogram": {"tail": TAIL.tolist(), "count": counts(values, axes).tolist()},

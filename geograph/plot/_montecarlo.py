@@ -22,7 +22,7 @@ _LOG_RATIO = 20.0
 
 # What a sweep shows of each point: key, label, what is expected; in its own order.
 _CURVES = (
-    ("rmse_m", "RMSE and bound", None),
+    ("rmse_m", "RMSE", None),
     ("rmse_over_bound", "RMSE over the bound", 1.0),
     ("anees", "ANEES over its expectation", 1.0),
     ("coverage_95", "share in the 95 % ellipsoids", 0.95),
@@ -256,6 +256,8 @@ def _draw_curve(
     if expected is not None:
         ax.axhline(expected, color=look.BLACK, ls="--", lw=1.0)
     if labels is None:
+        if place.size <= 12:
+            ax.set_xticks(place, [_text(value) for value in swept])
         positive = place[place > 0.0]
         if positive.size == place.size and place.max() > _LOG_RATIO * place.min():
             ax.set_xscale("log")
