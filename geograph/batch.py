@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import os
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from geograph.cluster import run_on_cluster
 from geograph.errors import InputError, SolveError
 from geograph.io import read
 from geograph.io.atomic import tidy
@@ -113,6 +114,7 @@ def smooth_many(
     output: Path | str,
     *,
     workers: int | None = None,
+    scheduler: str | None = None,
     changes: Mapping[str, Any] | None = None,
     pictures: bool = True,
     command: str | None = None,
@@ -128,6 +130,8 @@ def smooth_many(
         Each is written to ``output/<its name>/``; equal names get a number.
     workers
         Processes; None: as many as there are cores for this process.
+    scheduler
+        Address of a Dask scheduler whose workers are used instead; they must see the same files.
     changes
         Settings that differ from the recordings' own, by the names of
         :class:`geograph.SmoothSettings`.
@@ -146,18 +150,29 @@ def smooth_many(
     Raises
     ------
     InputError
-        If ``output`` cannot be used; what is wrong with one recording is in its outcome.
+        If ``output`` or the scheduler cannot be used; what is wrong with one recording is in its
+        outcome.
     """
     target = Path(output)
     jobs = plan([Path(source) for source in sources], target)
     task = partial(smooth_job, changes=dict(changes or {}), pictures=pictures, command=command)
     outcomes: list[Outcome | None] = [None] * len(jobs)
     count = min(workers or usable_cores(), len(jobs))
+    if scheduler is None:
+        running = run_isolated(task, jobs, workers=count)
+    else:
+        # Workers have working directories of their own.
+        places = [Job(source=job.source.absolute(), folder=job.folder.absolute()) for job in jobs]
+        running = run_on_cluster(task, places, scheduler=scheduler)
     # Closed at once when on_done raises, for that ends the processes.
     try:
-        with closing(run_isolated(task, jobs, workers=count)) as finished:
+        with closing(running) as finished:
             for index, result in finished:
-                outcome = _crash(jobs[index], result) if isinstance(result, Lost) else result
+                job = jobs[index]
+                if isinstance(result, Lost):
+                    outcome = _crash(job, result)
+                else:
+                    outcome = replace(result, job=job)
                 outcomes[index] = outcome
                 if on_done is not None:
                     on_done(outcome)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geograph.consistency import limit, nees
 from geograph.errors import InputError
 from geograph.geodesy import enu_axes
 from geograph.measurements import Truth
@@ -100,8 +101,6 @@ class Comparison:
 
     def figures(self) -> dict[str, Any]:
         """Return the errors in figures, ready for JSON."""
-        from scipy.special import chdtri
-
         distance = np.linalg.norm(self.error_m, axis=-1)
         components = dict(zip(self.axes, self.error_m.T, strict=True))
         if self.course_error_m is not None:
@@ -125,8 +124,8 @@ class Comparison:
                 "mean": float(nees.mean()) if nees.size else None,
                 "expected": EXPECTED_NEES * self.dimensions / 3,
                 # Errors along one path go together, so a path counts as a single draw.
-                "band_99": [float(chdtri(self.dimensions, tail)) for tail in (0.995, 0.005)],
-                "share_within_95": float((nees <= chdtri(self.dimensions, 0.05)).mean())
+                "band_99": limit([0.005, 0.995], self.dimensions).tolist(),
+                "share_within_95": float((nees <= limit(0.95, self.dimensions)).mean())
                 if nees.size
                 else None,
             },
@@ -202,9 +201,10 @@ def _compared(path: PathEstimate, truth: Truth) -> Comparison:
         error_m=np.einsum("nij,nj->ni", level, error),
         axes=("east", "north", "up") if path.frame == "ecef" else ("x", "y", "z"),
         course_error_m=None if velocity is None else _course(error, velocity, level[:, 2]),
-        nees=_nees(
+        nees=nees(
             error[:, :dimensions],
             columns_at(time, knots.time_s, path.covariance_m2)[:, :dimensions, :dimensions],
+            undefined=np.nan,
         ),
         speed_error_m_s=speed_error,
         dimensions=dimensions,
@@ -322,14 +322,3 @@ def _course(
 def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     return np.asarray(vector / np.where(length > 0.0, length, 1.0))
-
-
-def _nees(error: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    nees = np.full(len(error), np.nan)
-    sound = np.isfinite(covariance).all(axis=(1, 2))
-    values, vectors = np.linalg.eigh(covariance[sound])
-    turned = np.einsum("nji,nj->ni", vectors, error[sound])
-    positive = (values > 0.0).all(axis=-1)
-    terms = turned**2 / np.where(values > 0.0, values, 1.0)
-    nees[sound] = np.where(positive, terms.sum(axis=-1), np.nan)
-    return np.asarray(nees)

@@ -11,9 +11,9 @@ import multiprocessing
 import os
 import signal
 import traceback
-from collections import deque
+from collections import Counter, deque
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -38,10 +38,13 @@ class Lost:
         In one line.
     details
         Traceback of an unexpected exception, or nothing.
+    died
+        Whether its process ended, so that another attempt may succeed.
     """
 
     reason: str
     details: str = ""
+    died: bool = field(default=False, compare=False)
 
 
 @dataclass(eq=False)
@@ -52,7 +55,11 @@ class _Worker(Generic[Item]):
 
 
 def run_isolated(
-    function: Callable[[Item], Result], items: Sequence[Item], *, workers: int
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    *,
+    workers: int,
+    attempts: int = 1,
 ) -> Generator[tuple[int, Result | Lost], None, None]:
     """Yield index and result of each item as they are done, in whatever order.
 
@@ -66,8 +73,11 @@ def run_isolated(
         Its arguments, picklable.
     workers
         How many processes at most.
+    attempts
+        How often an item is begun at most whose process died.
     """
     waiting = deque(range(len(items)))
+    died: Counter[int] = Counter()
     busy: list[_Worker[Item]] = []
     try:
         with _one_thread_each():
@@ -78,15 +88,29 @@ def run_isolated(
             for worker in [worker for worker in busy if worker.pipe in ready]:
                 index, result = worker.index, _receive(worker)
                 busy.remove(worker)
+                died[index] += isinstance(result, Lost) and result.died
+                again = 0 < died[index] < attempts
+                if again:
+                    waiting.append(index)
                 if waiting:
                     busy.append(_next(worker, function, items, waiting.popleft()))
                 else:
                     worker.pipe.close()
-                yield index, result
+                if not again:
+                    yield index, result
     finally:
         for worker in busy:
             worker.process.kill()
             worker.process.join()
+
+
+def attempt(function: Callable[[Item], Result], item: Item) -> Result | Lost:
+    """Return what a function gives for an item, or why it gives nothing."""
+    try:
+        return function(item)
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        return Lost(f"internal error, {reason}", traceback.format_exc())
 
 
 def _start(function: Callable[[Item], Result], items: Sequence[Item], index: int) -> _Worker[Item]:
@@ -120,7 +144,7 @@ def _receive(worker: _Worker[Item]) -> Any:
     except (EOFError, OSError):
         worker.pipe.close()
         worker.process.join()
-        return Lost(_cause(worker.process.exitcode))
+        return Lost(_cause(worker.process.exitcode), died=True)
 
 
 def _cause(exitcode: int | None) -> str:
@@ -139,11 +163,7 @@ def _serve(function: Callable[[Item], Result], pipe: Connection[Any, Any]) -> No
             item = pipe.recv()
         except (EOFError, OSError):
             return
-        try:
-            result: Any = function(item)
-        except Exception as error:
-            reason = " ".join(f"{type(error).__name__}: {error}".split())
-            result = Lost(f"internal error, {reason}", traceback.format_exc())
+        result = attempt(function, item)
         try:
             pipe.send(result)
         except OSError:

@@ -14,14 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geograph.consistency import AXES, divergence_bias
 from geograph.scenarios.accelerometer import Accelerometer
-from geograph.scenarios.angles_scores import (
-    AXES,
-    Figure,
-    divergence_bias,
-    honesty,
-    improvement,
-)
+from geograph.scenarios.angles_scores import Figure, honesty, improvement
 from geograph.scenarios.angles_trials import BASELINE, ESTIMATORS, GRAPH, Scores, run_trials
 from geograph.scenarios.angles_worlds import WORLDS, variant
 

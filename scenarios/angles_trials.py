@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.consistency import nees
 from geograph.scenarios.angles_bias import bmod
 from geograph.scenarios.angles_estimators import (
     PathEstimate,
@@ -14,7 +15,6 @@ from geograph.scenarios.angles_estimators import (
     optimise_path,
     triangulation,
 )
-from geograph.scenarios.angles_scores import nees
 from geograph.scenarios.angles_windows import Windows, cut
 from geograph.scenarios.angles_worlds import AnglesWorld, angles_trial
 from geograph.smoother import smooth

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import geograph as gg
+from geograph.consistency import nees
 from geograph.scenarios.airborne_recordings import KnownGround, Region, recordings
 
 if TYPE_CHECKING:
@@ -66,8 +67,8 @@ class Smoothed:
     def nees(self) -> NDArray[np.float64]:
         """Shape (runs, s): e' P^-1 e of the horizontal error; 2 on average for an honest P."""
         error, covariance = self.error_m[..., :2], self.covariance_m2[..., :2, :2]
-        solved = np.linalg.solve(covariance, error[..., None])[..., 0]
-        return np.asarray(np.sum(error * solved, axis=-1))
+        found = nees(error.reshape(-1, 2), covariance.reshape(-1, 2, 2))
+        return found.reshape(error.shape[:-1])
 
     @property
     def covered(self) -> NDArray[np.bool_]:

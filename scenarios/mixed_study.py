@@ -14,9 +14,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from geograph.bounds import cramer_rao_bound
+from geograph.consistency import mean_band, nees
 from geograph.families import Values
 from geograph.scenarios.radio_aircraft import Multilateration, multilateration_world
 from geograph.scenarios.radio_indoor import Indoor, indoor_world
@@ -103,9 +103,8 @@ class Outcome:
 
     def band(self, alarm: float = 0.01) -> tuple[float, float]:
         """Return where :attr:`anees` is but for a given rate of false alarms."""
-        count = self.axes * self.nees.size
-        low, high = (chi2.ppf(p, count) / count for p in (0.5 * alarm, 1.0 - 0.5 * alarm))
-        return float(low), float(high)
+        low, high = mean_band(self.nees.size, self.axes, alarm=alarm)
+        return low / self.axes, high / self.axes
 
 
 def run(case: Case, seeds: Iterable[int]) -> Outcome:
@@ -150,14 +149,13 @@ def _score(track: Track, world: RadioWorld, *, flat: bool) -> tuple[float, ...]:
     place = slice(0, axes)
     middle = track.time_s.size // 2
     covariance = track.covariance[middle, place, place]
-    nees = error[middle, place] @ np.linalg.solve(covariance, error[middle, place])
     speed = slice(3, 3 + axes)
     return (
         float(np.sum(error[:, place] ** 2, axis=1).mean()),
         float(np.trace(bound[:, place, place], axis1=1, axis2=2).mean()),
         float(np.sum(error[:, speed] ** 2, axis=1).mean()),
         float(np.trace(bound[:, speed, speed], axis1=1, axis2=2).mean()),
-        float(nees),
+        float(nees(error[middle : middle + 1, place], covariance[None])[0]),
     )
 
 

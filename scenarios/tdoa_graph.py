@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
 
+from geograph.consistency import mean_band, nees
 from geograph.scenarios.moving_sensors import VARIANTS, MovingSensors, draw, recordings
 from geograph.scenarios.tdoa_bound import bound_m, efficient_errors
 from geograph.smoother import smooth
@@ -97,15 +97,15 @@ def graph_runs(variant: MovingSensors, seeds: Sequence[int]) -> GraphRuns:
     """
     last = variant.time_s[-1]
     truth = variant.emitter_at(last)
-    error, nees, status = [], [], []
+    error, normalised, status = [], [], []
     for recording in recordings(variant, seeds):
         track = smooth(recording, raise_on_failure=False)
         state = track.at(last)
         off = state.position_m[0, :2] - truth
         error.append(off)
-        nees.append(float(off @ np.linalg.solve(state.covariance[0, :2, :2], off)))
+        normalised.append(float(nees(off[None], state.covariance[:, :2, :2])[0]))
         status.append(str(track.status))
-    return GraphRuns(np.array(error), np.array(nees), tuple(status))
+    return GraphRuns(np.array(error), np.array(normalised), tuple(status))
 
 
 def graph_score(variant: MovingSensors, seeds: Sequence[int], runs: GraphRuns) -> GraphScore:
@@ -126,7 +126,6 @@ def graph_score(variant: MovingSensors, seeds: Sequence[int], runs: GraphRuns) -
     rms = float(np.sqrt(square.mean()))
     excess = float(np.sqrt(max(least**2 + gain.mean(), 0.0)))
     count = square.size
-    low, high = chi2.ppf([0.5 * _FALSE_ALARM, 1.0 - 0.5 * _FALSE_ALARM], 2 * count) / count
     return GraphScore(
         bound_m=least,
         rms_m=rms,
@@ -134,7 +133,7 @@ def graph_score(variant: MovingSensors, seeds: Sequence[int], runs: GraphRuns) -
         ratio=excess / least,
         ratio_error=float(gain.std() / np.sqrt(count) / (2.0 * least * max(excess, 1e-300))),
         anees=float(runs.nees.mean()),
-        band=(float(low), float(high)),
+        band=mean_band(count, 2, alarm=_FALSE_ALARM),
         converged=runs.status.count("converged"),
         runs=count,
     )

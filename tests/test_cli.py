@@ -23,7 +23,19 @@ from geograph.errors import SolveError
 from geograph.plot import PICTURES
 from geograph.recording import LossName, MotionName, SmoothSettings
 
-COMMANDS = ("smooth", "bound", "example", "convert", "plot", "compare", "track", "doctor")
+COMMANDS = (
+    "smooth",
+    "bound",
+    "example",
+    "simulate",
+    "montecarlo",
+    "convert",
+    "plot",
+    "compare",
+    "track",
+    "doctor",
+    "report",
+)
 
 
 def run(*arguments, **options):

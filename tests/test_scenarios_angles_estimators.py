@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from geograph.consistency import TAIL, divergence, divergence_bias, nees, shares
 from geograph.scenarios.angles_bias import bmod, significant_lines
 from geograph.scenarios.angles_estimators import (
     Kinematic,
@@ -20,15 +21,7 @@ from geograph.scenarios.angles_estimators import (
     optimise_path,
     triangulation,
 )
-from geograph.scenarios.angles_scores import (
-    TAIL,
-    divergence,
-    divergence_bias,
-    honesty,
-    improvement,
-    nees,
-    shares,
-)
+from geograph.scenarios.angles_scores import honesty, improvement
 from geograph.scenarios.angles_windows import Windows, cut, predict
 from geograph.scenarios.angles_worlds import WORLDS, angles_recording
 from geograph.scenarios.kepler import random_elliptic_satellite

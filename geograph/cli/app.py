@@ -11,17 +11,21 @@ import typer
 from geograph.cli.bound_command import bound
 from geograph.cli.convert_command import convert
 from geograph.cli.doctor_command import doctor
+from geograph.cli.montecarlo_command import montecarlo
 from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotations
     Elimination,
+    Jobs,
     Loss,
     MaxIterations,
     Motion,
     Plots,
     ProcessNoise,
     ProcessNoiseAlong,
+    Scheduler,
     Spacing,
 )
 from geograph.cli.report_command import report
+from geograph.cli.simulate_command import simulate
 from geograph.cli.track_command import track
 
 app = typer.Typer(
@@ -79,19 +83,15 @@ def smooth(
     loss: Loss = None,
     max_iterations: MaxIterations = None,
     elimination: Elimination = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", min=1, help="Processes for many recordings; default: one for each core."
-        ),
-    ] = None,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
     plots: Plots = True,
 ) -> None:
     """Smooth recordings: path, sensor errors, residuals, pictures.
 
     One recording is written to DIR, several to DIR/<name>/ each, with their summaries in
-    DIR/batch.csv. Exit status: 0 converged, 3 not converged (results are written, marked), 2 bad
-    input (nothing is written).
+    DIR/batch.csv; so is one with --scheduler, whose workers must see the same files. Exit status:
+    0 converged, 3 not converged (results are written, marked), 2 bad input (nothing is written).
     """
     from geograph.cli import run_smooth
 
@@ -110,9 +110,11 @@ def smooth(
         pictures=plots,
         command=shlex.join(["geograph", *context.obj]),
     )
-    if len(recordings) == 1:
+    if len(recordings) == 1 and scheduler is None:
         raise typer.Exit(run_smooth.smooth_one(recordings[0], request))
-    raise typer.Exit(run_smooth.smooth_several(recordings, request, workers=jobs))
+    raise typer.Exit(
+        run_smooth.smooth_several(recordings, request, workers=jobs, scheduler=scheduler)
+    )
 
 
 @app.command()
@@ -186,6 +188,8 @@ def compare(
 
 app.command()(bound)
 app.command()(track)
+app.command()(simulate)
+app.command()(montecarlo)
 app.command()(convert)
 app.command()(doctor)
 app.command()(report)

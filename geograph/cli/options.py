@@ -57,3 +57,14 @@ Elimination = Annotated[
     ),
 ]
 Plots = Annotated[bool, typer.Option("--plots/--no-plots", help="Draw pictures.")]
+Jobs = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=1, help="Processes; default: one for each core."),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Use the workers of this Dask scheduler instead, tcp://host:port.",
+    ),
+]

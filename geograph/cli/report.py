@@ -30,8 +30,8 @@ def results_text(results: Results, folder: Path) -> str:
     facts = results.summary
     parts = [
         _headline(results),
-        _static_text(results) if results.static else _table(_path_rows(results)),
-        *map(_table, _sensor_tables(results)),
+        _static_text(results) if results.static else table_text(_path_rows(results)),
+        *map(table_text, _sensor_tables(results)),
         _notes(results),
         f"written to {folder}",
     ]
@@ -235,7 +235,7 @@ def batch_text(outcomes: Sequence[Outcome], folder: Path) -> str:
             ]
         )
     good = sum(outcome.kind == "converged" for outcome in outcomes)
-    text = _table(rows)
+    text = table_text(rows)
     if len(order) > _MOST_ROWS:
         text += f"\n... {len(order) - _MOST_ROWS} more in batch.csv"
     return f"{text}\n\n{good} of {len(outcomes)} converged; written to {folder}"
@@ -261,7 +261,7 @@ def comparison_text(figures: dict[str, Any]) -> str:
             else ""
         ),
         "",
-        _table(rows),
+        table_text(rows),
         "",
     ]
     if nees["mean"] is None:
@@ -284,7 +284,7 @@ def _error(value: float, sign: str = "") -> str:
     return f"{value:{sign}.4g}" if abs(value) >= _ROUNDING_M else "0"
 
 
-def _table(rows: list[list[str]]) -> str:
+def table_text(rows: list[list[str]]) -> str:
     """Return aligned columns: the first and any last one of remarks to the left."""
     if len(rows) < 2:
         return ""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geograph.cli import NOT_CONVERGED, OK
-from geograph.cli.report import _table as table_text
+from geograph.cli.report import table_text
 from geograph.cli.run_smooth import _spinner
 from geograph.errors import InputError, SolveError
 from geograph.results.facts import length_text, rounded

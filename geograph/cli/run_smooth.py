@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from geograph.batch import Outcome
-
 
 def settings_from(given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings given as flags, checked as far as they can be without a recording."""
@@ -89,16 +87,23 @@ def smooth_one(source: Path, request: Request) -> int:
     return OK if results.status == "converged" else NOT_CONVERGED
 
 
-def smooth_several(sources: Sequence[Path], request: Request, *, workers: int | None) -> int:
+def smooth_several(
+    sources: Sequence[Path],
+    request: Request,
+    *,
+    workers: int | None,
+    scheduler: str | None = None,
+) -> int:
     """Smooth recordings into a folder each, print a table, and return the exit status."""
     from geograph.batch import smooth_many
     from geograph.cli.report import batch_text
 
-    with _progress(len(sources)) as advance:
+    with progress(len(sources), "smoothing") as advance:
         outcomes = smooth_many(
             sources,
             request.output,
             workers=workers,
+            scheduler=scheduler,
             changes=request.changes,
             pictures=request.pictures,
             command=request.command,
@@ -134,15 +139,28 @@ def _spinner(text: str) -> Iterator[None]:
 
 
 @contextmanager
-def _progress(total: int) -> Iterator[Callable[[Outcome], None] | None]:
-    """Show a progress bar on a terminal, and nothing in a pipe."""
+def progress(total: int, what: str) -> Iterator[Callable[[object], None] | None]:
+    """Show a progress bar on a terminal, and nothing in a pipe.
+
+    Parameters
+    ----------
+    total
+        How many steps there are.
+    what
+        Is done, in a word.
+
+    Yields
+    ------
+    callable or None
+        To be called after each step.
+    """
     if not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    columns = ("smoothing", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("smoothing", total=total)
-        yield lambda _: progress.advance(task)
+    columns = (what, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda _: bar.advance(task)

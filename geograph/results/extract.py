@@ -119,7 +119,7 @@ def _summary(track: Track, command: str | None) -> dict[str, Any]:
     facts["epoch"] = None if recording.epoch is None else recording.epoch.isoformat()
     facts["time_span_s"] = [start, end]
     facts["propagation_speed_m_s"] = recording.propagation_speed_m_s
-    facts["height_held"] = _height_held(recording)
+    facts["height_held"] = height_held(recording)
     facts["rejected"] = _with_emissions(facts.get("rejected", ()), recording)
     facts["ellipsoid_probability"] = ELLIPSOID_PROBABILITY
     facts["settings"] = dataclasses.asdict(track.settings)
@@ -128,7 +128,7 @@ def _summary(track: Track, command: str | None) -> dict[str, Any]:
     return facts
 
 
-def _height_held(recording: Recording) -> bool:
+def height_held(recording: Recording) -> bool:
     """Return whether the whole path is held to one height of a local frame."""
     held = recording.constraints
     if recording.frame != "local" or held is None:
