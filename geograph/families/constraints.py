@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -92,44 +93,52 @@ class _ConstraintFamily(Family):
         )
 
 
-class AltitudeFamily(_ConstraintFamily):
+class _PlaceFamily(_ConstraintFamily):
+    """What is known of a function of the position."""
+
+    @abstractmethod
+    def _function(
+        self, position_m: NDArray[np.float64], *, jacobian: bool
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """Return the function, shape (n,), and its gradients, shape (n, 3), where wanted."""
+
+    def evaluate(
+        self, path: Path, state: PathState, values: Values, *, jacobian: bool
+    ) -> Evaluation:
+        """Evaluate all constraints at one point."""
+        del values
+        place = path.locate(self.time_s)
+        position, _ = state.position_velocity(place)
+        predicted, gradient = self._function(position, jacobian=jacobian)
+        residual = ((predicted - self.value) / self.sigma)[:, None]
+        if not jacobian or gradient is None:
+            return path_only_evaluation(residual, place.interval, None)
+        rows = (gradient / self.sigma[:, None])[:, None, :]
+        return path_only_evaluation(residual, place.interval, state.chain(place, rows, None))
+
+
+class AltitudeFamily(_PlaceFamily):
     """Height above the WGS 84 ellipsoid, or z in a local frame, metres."""
 
     name = "altitude_m"
 
-    def evaluate(
-        self, path: Path, state: PathState, values: Values, *, jacobian: bool
-    ) -> Evaluation:
-        """Evaluate all constraints at one point."""
-        del values
-        place = path.locate(self.time_s)
-        position, _ = state.position_velocity(place)
-        predicted, gradient = altitude(position, self.frame)
-        residual = ((predicted - self.value) / self.sigma)[:, None]
-        if not jacobian:
-            return path_only_evaluation(residual, place.interval, None)
-        rows = (gradient / self.sigma[:, None])[:, None, :]
-        return path_only_evaluation(residual, place.interval, state.chain(place, rows, None))
+    def _function(
+        self, position_m: NDArray[np.float64], *, jacobian: bool
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        del jacobian
+        return altitude(position_m, self.frame)
 
 
-class CoordinateFamily(_ConstraintFamily):
+class CoordinateFamily(_PlaceFamily):
     """A coordinate in the recording's frame, metres."""
 
     axis: ClassVar[Literal[0, 1, 2]]
 
-    def evaluate(
-        self, path: Path, state: PathState, values: Values, *, jacobian: bool
-    ) -> Evaluation:
-        """Evaluate all constraints at one point."""
-        del values
-        place = path.locate(self.time_s)
-        position, _ = state.position_velocity(place)
-        predicted, gradient = coordinate(position, self.axis)
-        residual = ((predicted - self.value) / self.sigma)[:, None]
-        if not jacobian:
-            return path_only_evaluation(residual, place.interval, None)
-        rows = (gradient / self.sigma[:, None])[:, None, :]
-        return path_only_evaluation(residual, place.interval, state.chain(place, rows, None))
+    def _function(
+        self, position_m: NDArray[np.float64], *, jacobian: bool
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        del jacobian
+        return coordinate(position_m, self.axis)
 
 
 class XFamily(CoordinateFamily):
@@ -153,6 +162,18 @@ class ZFamily(CoordinateFamily):
     axis = 2
 
 
+class TerrainFamily(_PlaceFamily):
+    """Height above the ground, metres."""
+
+    name = "height_above_terrain_m"
+
+    def _function(
+        self, position_m: NDArray[np.float64], *, jacobian: bool
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        assert self.surface is not None
+        return height_above_terrain(position_m, self.frame, self.surface, jacobian=jacobian)
+
+
 class SpeedFamily(_ConstraintFamily):
     """Speed in the recording's frame, metres per second."""
 
@@ -172,29 +193,6 @@ class SpeedFamily(_ConstraintFamily):
         rows = (gradient / self.sigma[:, None])[:, None, :]
         chained = state.chain(place, np.zeros_like(rows), rows)
         return path_only_evaluation(residual, place.interval, chained)
-
-
-class TerrainFamily(_ConstraintFamily):
-    """Height above the ground, metres."""
-
-    name = "height_above_terrain_m"
-
-    def evaluate(
-        self, path: Path, state: PathState, values: Values, *, jacobian: bool
-    ) -> Evaluation:
-        """Evaluate all constraints at one point."""
-        del values
-        assert self.surface is not None
-        place = path.locate(self.time_s)
-        position, _ = state.position_velocity(place)
-        predicted, gradient = height_above_terrain(
-            position, self.frame, self.surface, jacobian=jacobian
-        )
-        residual = ((predicted - self.value) / self.sigma)[:, None]
-        if gradient is None:
-            return path_only_evaluation(residual, place.interval, None)
-        rows = (gradient / self.sigma[:, None])[:, None, :]
-        return path_only_evaluation(residual, place.interval, state.chain(place, rows, None))
 
 
 CONSTRAINT_FAMILIES = {
