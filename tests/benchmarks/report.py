@@ -75,7 +75,7 @@ def targets(results: Results) -> list[Target]:
         Target(
             "times faster than one Python factor a bearing (medium)",
             against("gtsam-per-bearing"),
-            20.0,
+            50.0,
             True,
         ),
         Target("times faster than our reference path (medium)", against("reference"), 2.0, True),
