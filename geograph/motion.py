@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from geograph.errors import InputError
-from geograph.factors.gravity import propagate
 from geograph.factors.kinematics import (
     interpolation_matrices,
     noise_covariance,
@@ -27,7 +26,7 @@ from geograph.factors.kinematics import (
     unit_noise_square_root,
 )
 from geograph.kernels import compiled, flat
-from geograph.path import BallisticPath, KinematicPath, Order, Path
+from geograph.path import BallisticPath, KinematicPath, Order, Path, fall
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -215,7 +214,7 @@ class Motion:
             Shape (n,), seconds.
         """
         if self.ballistic:
-            return propagate(state, step_s, self.frame, self.degree)
+            return fall(state, step_s, self.frame, self.degree)
         eye = np.broadcast_to(np.eye(3), (step_s.size, 3, 3))
         matrix = kron_stack(transition(self.order, step_s), eye)
         return self.carried(state, step_s), matrix

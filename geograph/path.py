@@ -168,6 +168,33 @@ class KinematicPathState(PathState):
         return result.reshape(count, rows, 2, 3 * self._order)
 
 
+_RECENT_FALLS = 2
+_falls: dict[tuple[bytes, bytes, str, int], tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+
+
+def fall(
+    state: NDArray[np.float64],
+    step_s: NDArray[np.float64],
+    frame: Literal["ecef", "local"],
+    degree: Degree,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return :func:`geograph.factors.gravity.propagate` of the same, read-only.
+
+    The last two are kept: a step of the solver asks for the same falls for its cost, its
+    measurements and its transitions, each time, and they are most of its work.
+    """
+    key = (state.tobytes(), step_s.tobytes(), frame, int(degree))
+    found = _falls.get(key)
+    if found is None:
+        found = propagate(state, step_s, frame, degree)
+        for part in found:
+            part.setflags(write=False)
+        while len(_falls) >= _RECENT_FALLS:
+            _falls.pop(next(iter(_falls)), None)
+        _falls[key] = found
+    return found
+
+
 class BallisticPath(Path):
     """Free fall between knots, with white noise on the acceleration.
 
@@ -223,7 +250,7 @@ class BallisticPathState(PathState):
         first, second = state[:-1], state[1:]
         count = first.shape[0]
         model = path.frame, path.degree
-        self.fall, self.fall_jacobian = propagate(first, path.steps_s, *model)
+        self.fall, self.fall_jacobian = fall(first, path.steps_s, *model)
         start, start_p, start_v = acceleration(first[:, :3], first[:, 3:], *model)
         end, end_p, end_v = acceleration(self.fall[:, :3], self.fall[:, 3:], *model)
         self._basis = np.concatenate([first, start, self.fall, end, second], axis=1).reshape(
