@@ -195,7 +195,8 @@ def change_noise(state: State, settings: SmoothSettings) -> None:
     if len(chain.pieces) > 1:
         if not chain.gone:
             let_go(state, 1)
-        earlier = (*model.earlier, (chain.knots_s[-1], before))
+        held = (entry for entry in model.earlier if entry[0] > chain.knots_s[0])
+        earlier = (*held, (chain.knots_s[-1], before))
     else:
         # As short as it is, all of it is taken to be what comes.
         earlier = ()
