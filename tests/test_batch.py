@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from small_recordings import write_small
+from unmeasured import environment
 
 from geograph import batch
 from geograph.errors import InputError
@@ -124,6 +125,7 @@ def test_interrupting_a_batch_is_quiet_and_leaves_no_half_results(tmp_path):
             "--jobs",
             "2",
         ],
+        env=environment(),
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -18,6 +18,7 @@ import pytest
 from matplotlib.image import imread
 from small_recordings import write_small
 from stand_in_engine import POISON_SIGMA_DEG, StandInEngine
+from unmeasured import environment
 
 import geograph as gg
 from geograph.cli import main, run_track
@@ -204,7 +205,7 @@ def test_a_signal_ends_it_after_the_update_at_hand(recording, lines, tmp_path, n
     feed, out, journal = tmp_path / "feed.jsonl", tmp_path / "out", tmp_path / "j"
     feed.write_text("".join(lines[:30]))
     words = command(feed, "--follow", "--like", recording, "-o", out, "--journal", journal)
-    with subprocess.Popen(words, text=True, stdout=-1, stderr=-1) as process:
+    with subprocess.Popen(words, text=True, stdout=-1, stderr=-1, env=environment()) as process:
         wait_for(lambda: out.exists() and out.stat().st_size)
         with feed.open("a") as file:
             file.write("".join(lines[30:]) + lines[0][:20])

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from recordings import write_files
+from unmeasured import environment
 
 from geograph.errors import InputError
 from geograph.io import atomic
@@ -73,6 +74,7 @@ def test_stopped_at_any_moment(tmp_path: Path, way: str, stop: signal.Signals) -
         stdout=subprocess.PIPE,
         text=True,
         bufsize=1,
+        env=environment(),
     ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
