@@ -21,7 +21,7 @@ from scipy.interpolate import BSpline
 from geograph.clock_search import ClockSearch
 from geograph.errors import InputError
 from geograph.factors.constraints import altitude
-from geograph.known_coordinates import Coordinates
+from geograph.known_coordinates import WHOLE_TIMES, Coordinates
 from geograph.lines import Attempt, Lines, Rows, criteria, robust_weights, stacked, weighted_lines
 
 if TYPE_CHECKING:
@@ -50,9 +50,6 @@ _MOST_BEARINGS = 6000
 _NOMINAL_RANGE_M = 100e3
 _NOMINAL_BASELINES = 10.0
 _NOMINAL_LOCAL_RANGE_M = 10e3
-
-# A height of the whole path is put at this many times.
-_WHOLE_TIMES = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +146,7 @@ class FirstGuess:
             return None
         time, value, sigma = table.time_s[rows], table.value[rows], table.sigma[rows]
         whole = np.isnan(time)
-        span = np.linspace(self.bearings.time_s.min(), self.bearings.time_s.max(), _WHOLE_TIMES)
+        span = np.linspace(self.bearings.time_s.min(), self.bearings.time_s.max(), WHOLE_TIMES)
         count = int(whole.sum())
         return Heights(
             np.concatenate([time[~whole], np.tile(span, count)]),

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from geograph.recording import Frame
 
 _NAMES = ("x_m", "y_m", "z_m")
-# One along the whole path is put at this many times.
-_WHOLE_TIMES = 20
+
+WHOLE_TIMES = 20
+"""At how many times a first guess puts what is known along the whole path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +81,7 @@ class Coordinates:
         """
         low, high = spline.t[0], spline.t[-1]
         whole = np.isnan(self.time_s)
-        span = np.linspace(low, high, _WHOLE_TIMES)
+        span = np.linspace(low, high, WHOLE_TIMES)
         index = np.arange(len(self))
         which = np.concatenate([index[~whole], np.repeat(index[whole], span.size)])
         time = np.concatenate([self.time_s[~whole], np.tile(span, int(whole.sum()))])

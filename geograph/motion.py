@@ -216,8 +216,8 @@ class Motion:
         if self.ballistic:
             return fall(state, step_s, self.frame, self.degree)
         eye = np.broadcast_to(np.eye(3), (step_s.size, 3, 3))
-        matrix = kron_stack(transition(self.order, step_s), eye)
-        return self.carried(state, step_s), matrix
+        by_block = transition(self.order, step_s)
+        return self._taylor(by_block, state), kron_stack(by_block, eye)
 
     def carried(
         self, state: NDArray[np.float64], step_s: NDArray[np.float64]
@@ -225,8 +225,14 @@ class Motion:
         """Return f(x) alone, shape (n, 3m); see :meth:`predict`."""
         if self.ballistic:
             return self.predict(state, step_s)[0]
-        blocks = state.reshape(step_s.size, self.order, 3)
-        return np.asarray(np.matmul(transition(self.order, step_s), blocks).reshape(state.shape))
+        return self._taylor(transition(self.order, step_s), state)
+
+    def _taylor(
+        self, by_block: NDArray[np.float64], state: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return states moved by transition matrices of one axis, shape (n, m, m)."""
+        blocks = state.reshape(-1, self.order, 3)
+        return np.asarray(np.matmul(by_block, blocks).reshape(state.shape))
 
     def noise(self, state: NDArray[np.float64], step_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance that the noise adds over a step, shape (n, 3m, 3m), SI units."""

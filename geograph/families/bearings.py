@@ -515,7 +515,7 @@ class BearingFamily(SensorFamily):
         predicted, _, _ = self.predicted(path, values)
         exists = np.ones((len(self), 2), dtype=bool)
         exists[self.azimuth_only, 1] = False
-        level = np.cos(np.nan_to_num(table.elevation_rad))
+        level = np.cos(self._elevation)
         level = np.where(table.isotropic & ~self.azimuth_only, np.maximum(level, 1e-6), 1.0)
         return Report(
             kinds=("azimuth", "elevation"),

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geograph.families import SensorFamily
-from geograph.incremental.curvature import TOLERANCE
 from geograph.incremental.judge import innovations, suspects
 from geograph.incremental.remake import let_go, resolve, respan, restart
-from geograph.incremental.review import check, look_over
+from geograph.incremental.review import check, look_over, until_it_stands
 from geograph.incremental.room import assign, emission_times, make_room
 from geograph.incremental.rows import FIXES, choose, count, join
 from geograph.incremental.state import State, count_rows, mark, recount, with_fixes
@@ -147,13 +146,12 @@ def _use(state: State, touched: set[int], new: set[int]) -> None:
 def _weigh_on(state: State, touched: list[int]) -> None:
     """Weigh what is new again until the estimate stands: after a gap it was predicted far off."""
     model, chain = state.running
-    for _ in range(_WEIGHINGS):
-        assert chain.final is not None
-        before = chain.final.step
+
+    def weigh() -> None:
         model.linearise(chain, touched)
         _solve_on(state)
-        if chain.final.distance(before) < TOLERANCE:
-            return
+
+    until_it_stands(chain, weigh, _WEIGHINGS)
 
 
 def _solve_on(state: State) -> None:

@@ -11,6 +11,9 @@ from geograph.incremental.judge import choice
 from geograph.incremental.state import State, mark
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from geograph.incremental.chain import Chain
     from geograph.incremental.model import Measured
 
 
@@ -52,14 +55,33 @@ def look_over(state: State) -> None:
 def _settle(state: State) -> None:
     """Weigh everything by the loss again until the newest estimate stands."""
     model, chain = state.running
-    for _ in range(_ROUNDS):
-        assert chain.final is not None
-        before = chain.final.step
+
+    def weigh() -> None:
         model.linearise(chain, range(len(chain.pieces)))
         chain.eliminate()
         chain.solve_all()
+
+    until_it_stands(chain, weigh, _ROUNDS)
+
+
+def until_it_stands(chain: Chain, weigh: Callable[[], None], rounds: int) -> None:
+    """Solve again and again, until the newest estimate moves by less than the tolerance.
+
+    Parameters
+    ----------
+    chain
+        Whose estimate it is.
+    weigh
+        Linearises, with the weights of the estimate so far, and eliminates.
+    rounds
+        How often at most.
+    """
+    for _ in range(rounds):
+        assert chain.final is not None
+        before = chain.final.step
+        weigh()
         if chain.final.distance(before) < TOLERANCE:
-            break
+            return
 
 
 def _weights_changed(state: State) -> bool:
