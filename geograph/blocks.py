@@ -5,7 +5,8 @@ The whitened Jacobian rows of a family are laid out as dense rows over the colum
     [ knot k (path, walks) | knot k + 1 (path, walks) | constant sensor states | residual ],
 
 sorted by interval, and multiplied with themselves: one matrix of sums of products per interval,
-whose last column is the gradient. Only the layout of the rows knows the sparsity.
+whose last column is the gradient. What concerns the constant states alone is the same for all
+intervals and needs to be held once. Only the layout of the rows knows the sparsity.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from scipy.linalg import blas
 
 from geograph.common import project
+from geograph.families.base import ByPosition
 from geograph.kernels import compiled, flat, indices
 
 if TYPE_CHECKING:
@@ -68,6 +70,57 @@ class ColumnLayout:
     def width(self) -> int:
         """Number of columns, the residual's included."""
         return self.states + self.constants + 1
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Sums of products of n intervals.
+
+    Attributes
+    ----------
+    knots
+        Shape (n, k, k + c): rows of the k components of the interval's knots, over these, the
+        constant states and the gradient.
+    others
+        Shape (n, c, c) or (1, c, c): rows of the constant states and the gradient over these, of
+        each interval or of all together.
+    """
+
+    knots: NDArray[np.float64]
+    others: NDArray[np.float64]
+
+    @classmethod
+    def zeros(cls, layout: ColumnLayout, intervals: int, *, apart: bool = False) -> Sums:
+        """Return sums of nothing.
+
+        Parameters
+        ----------
+        layout
+            Columns of the rows.
+        intervals
+            How many there are.
+        apart
+            Whether each interval keeps its own sums of the constant states.
+        """
+        rest = layout.width - layout.states
+        return cls(
+            np.zeros((intervals, layout.states, layout.width)),
+            np.zeros((intervals if apart else 1, rest, rest)),
+        )
+
+    @classmethod
+    def of(cls, full: NDArray[np.float64], states: int) -> Sums:
+        """Return whole matrices, shape (n, width, width), as sums; ``states`` as in the layout."""
+        return cls(full[:, :states], full[:, states:, states:])
+
+    def full(self) -> NDArray[np.float64]:
+        """Return whole matrices, shape (n, width, width); what belongs to all is in the first."""
+        count, states, width = self.knots.shape
+        full = np.zeros((count, width, width))
+        full[:, :states] = self.knots
+        full[:, states:, :states] = np.swapaxes(self.knots[:, :, states:], 1, 2)
+        full[: self.others.shape[0], states:, states:] = self.others
+        return full
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,15 +202,13 @@ class BlockSum:
         largest = max((part.runs[-1][2] for part in self._passes), default=0)
         self._buffer = np.empty((largest, rows, self.layout.width))
 
-    def add(
-        self, total: NDArray[np.float64], found: Evaluation, root_weight: NDArray[np.float64] | None
-    ) -> None:
+    def add(self, total: Sums, found: Evaluation, root_weight: NDArray[np.float64] | None) -> None:
         """Add the family's sums of products to ``total``.
 
         Parameters
         ----------
         total
-            Shape (intervals, width, width), C-contiguous, changed in place.
+            Changed in place.
         found
             An evaluation with derivatives.
         root_weight
@@ -168,33 +219,34 @@ class BlockSum:
             return
         self._plan(found)
         rows, width = found.residual.shape[1], self.layout.width
+        states, apart = self.layout.states, total.others.shape[0] > 1
         for part in self._passes:
             dense = self._fill(part, found, root_weight).reshape(-1, width)
             for interval, first, end in part.runs:
-                own = dense[first * rows : end * rows].T
-                # Transposed, so that BLAS adds to the block itself, which is symmetric.
-                blas.dgemm(1.0, own, own, 1.0, total[interval].T, trans_b=True, overwrite_c=True)
+                own = dense[first * rows : end * rows]
+                product = blas.dgemm(1.0, own.T, own.T, trans_b=True)
+                total.knots[interval] += product[:states]
+                total.others[interval if apart else 0] += product[states:, states:]
 
     def _add_compiled(
-        self, total: NDArray[np.float64], found: Evaluation, root_weight: NDArray[np.float64] | None
+        self, total: Sums, found: Evaluation, root_weight: NDArray[np.float64] | None
     ) -> None:
         """Do what :meth:`add` does, in compiled code, without laying out the rows."""
-        layout = self.layout
+        layout, by = self.layout, found.by_path
         count, rows = found.residual.shape
+        if isinstance(by, ByPosition):
+            order, by_path, weights = by.weights.shape[1] // 2, by.by_position, by.weights
+        else:
+            order, by_path, weights = 0, by, None
         compiled.add_blocks(
-            total.shape[0],
-            layout.path,
-            layout.walks,
-            layout.constants,
-            int(layout.chained),
-            count,
-            rows,
-            found.constant_row.size,
-            found.walk_row.size,
-            total,
+            *(total.knots.shape[0], total.others.shape[0]),
+            *(layout.path, layout.walks, layout.constants, int(layout.chained)),
+            *(count, rows, order, found.constant_row.size, found.walk_row.size),
+            *(total.knots, total.others),
             flat(found.residual),
             indices(found.interval),
-            flat(found.by_knots),
+            flat(by_path),
+            flat(weights),
             self._knots_scale[0],
             indices(found.constant_row),
             indices(found.constant_column),

@@ -26,6 +26,8 @@ from geograph.sweep import Marginals, NotPositiveDefiniteError, chain_marginals,
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.blocks import Sums
+
 __all__ = [
     "Elimination",
     "Factorisation",
@@ -46,8 +48,8 @@ class LinearSystem:
     Attributes
     ----------
     blocks
-        Shape (K - 1, 2d + s + 1, 2d + s + 1), or (1, d + s + 1, d + s + 1) for one knot: sums of
-        products of the measurements' rows; the last column is the gradient.
+        Sums of products of the measurements' rows in K - 1 intervals, of 2d components each, or in
+        one of d for one knot; the last column is the gradient.
     inverse_transition
         Shape (K - 1, d, d): F^-1.
     noise_root
@@ -64,7 +66,7 @@ class LinearSystem:
         What factorises it; None: :class:`Elimination`.
     """
 
-    blocks: NDArray[np.float64]
+    blocks: Sums
     inverse_transition: NDArray[np.float64]
     noise_root: NDArray[np.float64]
     noise_residual: NDArray[np.float64]
@@ -140,44 +142,18 @@ class Factorisation(ABC):
     def __init__(self, system: LinearSystem, damping: float = 0.0) -> None: ...
 
     @abstractmethod
-    def _noise(
-        self, knots: NDArray[np.float64], constants: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the increments of the noise w that belong to those of the unknowns."""
+    def _decrease(self, knots: NDArray[np.float64], constants: NDArray[np.float64]) -> float:
+        """Return the decrease of the cost that the linear model predicts for the solution."""
 
     def solve(self) -> Step:
         """Return the increments that minimise the (damped) linear model."""
         d = self.system.knot_size
-        count = self.system.knots - 1
         last, _ = lapack.dpotrs(self._final_root, -self._final_gradient, lower=1)
         constants = last[d:]
-        if count:
+        knots = last[None, :d]
+        if self.system.knots > 1:
             knots = substitute(self._back, last[:d], constants)
-            noise = self._noise(knots, constants)
-        else:
-            knots, noise = last[None, :d], np.empty((0, d))
-        return Step(knots, constants, self._decrease(knots, constants, noise))
-
-    def _decrease(
-        self,
-        knots: NDArray[np.float64],
-        constants: NDArray[np.float64],
-        noise: NDArray[np.float64],
-    ) -> float:
-        """Return the decrease predicted by the model: half of -gradient.step, and the damping."""
-        system = self.system
-        slope = float(system.prior_gradient @ knots[0] + system.constants @ constants)
-        gradient = system.blocks[:, :-1, -1]
-        d = system.knot_size
-        if system.knots > 1:
-            slope += float(np.sum(gradient[:, :d] * knots[:-1]))
-            slope += float(np.sum(gradient[:, d : 2 * d] * knots[1:]))
-            slope += float(np.sum(gradient[:, 2 * d :] @ constants))
-            slope += float(np.sum(system.noise_residual * noise))
-        else:
-            slope += float(gradient[0] @ np.concatenate([knots[0], constants]))
-        squares = float(np.sum(knots**2) + np.sum(constants**2))
-        return -0.5 * slope + 0.5 * self.damping * squares
+        return Step(knots, constants, self._decrease(knots, constants))
 
     def marginals(self) -> Marginals:
         """Return all marginal covariances; see :func:`chain_marginals`."""
@@ -221,25 +197,23 @@ class Elimination(Factorisation):
         knot[:, -1] = system.prior_gradient
         other = np.eye(constants.size + 1)
         other[:-1, -1] = other[-1, :-1] = constants
+        self._half_log = self._square = 0.0
         if system.knots > 1:
-            blocks = system.blocks
-            if damping:
-                index = np.arange(d)
-                blocks = blocks.copy()
-                blocks[:, index, index] += damping
             found = sweep(
                 knot,
-                blocks=blocks,
+                blocks=system.blocks,
                 inverse_transition=self._a,
                 noise_root=system.noise_root,
                 noise_residual=system.noise_residual,
+                damping=damping,
+                ends=True,
             )
-            knot, other = found.knots[-1], other + found.shares.sum(axis=0)
-            self._inverse_roots, self._gain = found.inverse_roots, found.gain
+            knot, other = found.knots[0], other + found.shares[0]
             self._back, self._spread = found.back, found.spread
+            self._half_log, self._square = found.half_log, found.square
         else:
-            knot = knot + system.blocks[0, :d]
-            other = other + system.blocks[0, d:, d:]
+            knot = knot + system.blocks.knots[0]
+            other = other + system.blocks.others.sum(axis=0)
         information = np.block([[knot[:, :-1]], [knot[:, d:-1].T, other[:-1, :-1]]])
         np.einsum("ii->i", information)[:] += damping
         root, fault = lapack.dpotrf(information, lower=1, clean=1)
@@ -248,19 +222,16 @@ class Elimination(Factorisation):
         self._final_root = root
         self._final_gradient = np.concatenate([knot[:, -1], other[:-1, -1]])
 
-    def _noise(
-        self, knots: NDArray[np.float64], constants: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        d = self.system.knot_size
-        moved = np.matmul(self._gain[:, :, :d], knots[1:, :, None])[:, :, 0]
-        return np.asarray(-moved - self._gain[:, :, d:] @ np.append(constants, 1.0))
+    def _decrease(self, knots: NDArray[np.float64], constants: NDArray[np.float64]) -> float:
+        # With the damped information H, -gradient.step = gradient' H^-1 gradient is the sum of the
+        # squares that the factorisation has made of the gradient.
+        rest, _ = lapack.dtrtrs(self._final_root, self._final_gradient, lower=1)
+        squares = float(np.sum(knots**2) + np.sum(constants**2)) if self.damping else 0.0
+        return 0.5 * (self._square + float(rest @ rest) + self.damping * squares)
 
     def half_log_determinant(self) -> float:
         """Return half the log determinant of the information of (x[0], w, constants)."""
-        value = float(np.sum(np.log(np.diagonal(self._final_root))))
-        if self.system.knots > 1:
-            inverse = np.diagonal(self._inverse_roots, axis1=1, axis2=2)
-            value -= float(np.sum(np.log(inverse)))
+        value = self._half_log + float(np.sum(np.log(np.diagonal(self._final_root))))
         # From the last knot's coordinates to the first one's.
         _, log_inverse = np.linalg.slogdet(self._a)
         return value - float(np.sum(log_inverse))
@@ -284,16 +255,13 @@ def response(system: LinearSystem, knot: int, direction: NDArray[np.float64]) ->
         If the unknowns are not determined to working precision.
     """
     d = system.knot_size
-    blocks = system.blocks.copy()
-    blocks[:, :, -1] = 0.0
-    blocks[:, -1, :] = 0.0
-    block = min(knot, blocks.shape[0] - 1)
-    rows = slice((knot - block) * d, (knot - block + 1) * d)
-    blocks[block, rows, -1] = -direction
-    blocks[block, -1, rows] = -direction
+    sums, others = system.blocks.knots.copy(), system.blocks.others.copy()
+    sums[:, :, -1] = others[:, :, -1] = others[:, -1] = 0.0
+    block = min(knot, sums.shape[0] - 1)
+    sums[block, (knot - block) * d : (knot - block + 1) * d, -1] = -direction
     quiet = replace(
         system,
-        blocks=blocks,
+        blocks=replace(system.blocks, knots=sums, others=others),
         noise_residual=np.zeros_like(system.noise_residual),
         prior_gradient=np.zeros_like(system.prior_gradient),
         constants=np.zeros_like(system.constants),

@@ -68,7 +68,7 @@ class GtsamElimination(Factorisation):
         d, s = system.knot_size, system.constants.size
         sizes = [d, d, s] if system.knots > 1 else [d, s]
         edges = np.concatenate([[0], np.cumsum(sizes)])
-        for k, block in enumerate(system.blocks):
+        for k, block in enumerate(system.blocks.full()):
             keys = [gtsam.symbol("x", k + j) for j in range(len(sizes) - 1)]
             keys.append(gtsam.symbol("c", 0))
             used = [j for j in range(len(sizes)) if sizes[j]]
@@ -153,12 +153,21 @@ class GtsamElimination(Factorisation):
         self._final_root = np.ascontiguousarray(upper.T)
         self._final_gradient = -upper.T @ right
 
-    def _noise(
-        self, knots: NDArray[np.float64], constants: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        del constants
-        predicted = np.matmul(self._forward, knots[:-1, :, None])
-        return np.asarray(np.matmul(self._whiten, knots[1:, :, None] - predicted)[:, :, 0])
+    def _decrease(self, knots: NDArray[np.float64], constants: NDArray[np.float64]) -> float:
+        """Return half of -gradient.step, and the damping."""
+        system = self.system
+        slope = float(system.prior_gradient @ knots[0] + system.constants @ constants)
+        by_knots, d = system.blocks.knots[:, :, -1], system.knot_size
+        slope += float(np.sum(system.blocks.others[:, :-1, -1] @ constants))
+        if system.knots > 1:
+            slope += float(np.sum(by_knots[:, :d] * knots[:-1] + by_knots[:, d:] * knots[1:]))
+            predicted = np.matmul(self._forward, knots[:-1, :, None])
+            noise = np.matmul(self._whiten, knots[1:, :, None] - predicted)[:, :, 0]
+            slope += float(np.sum(system.noise_residual * noise))
+        else:
+            slope += float(by_knots[0] @ knots[0])
+        squares = float(np.sum(knots**2) + np.sum(constants**2))
+        return -0.5 * slope + 0.5 * self.damping * squares
 
     def half_log_determinant(self) -> float:
         """Return half the log determinant of the information of (x[0], w, constants)."""

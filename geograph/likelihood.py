@@ -254,7 +254,7 @@ class _Density:
         for _ in range(_ROUNDS):
             values = replace(self.values, path=place[None], constants=constants)
             system = problem.linearise(values)
-            block = system.blocks[0]
+            block = system.blocks.full()[0]
             information = block[:-1, :-1] + np.diag(
                 np.concatenate([system.prior_information, np.ones(count)])
             )

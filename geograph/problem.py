@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geograph.blocks import BlockSum, ColumnLayout
+from geograph.blocks import BlockSum, ColumnLayout, Sums
 from geograph.common import settled
 from geograph.eliminate import LinearSystem, Step
 from geograph.losses import Loss
@@ -222,8 +222,7 @@ class Problem:
 
     def linearise(self, values: Values) -> LinearSystem:
         """Return the linear system of scaled increments at one point."""
-        width = self.layout.width
-        blocks = np.zeros((max(self.knots_s.size - 1, 1), width, width))
+        blocks = Sums.zeros(self.layout, max(self.knots_s.size - 1, 1))
         inverse, noise_root, residual = self._transitions(values)
         cost = self._start_cost(values) + 0.5 * float(np.sum(residual**2))
         for found, weight, total in zip(
@@ -234,9 +233,7 @@ class Problem:
             root = None if information_weight is None else np.sqrt(information_weight)
             total.add(blocks, found, root)
         if self.shift is not None:
-            first = self.layout.states
-            columns = slice(first, first + self.layout.constants)
-            self.shift.add(blocks[0], columns, values.constants)
+            self.shift.add(blocks.others[0], slice(0, self.layout.constants), values.constants)
         start = (values.path[0] - self.prior.mean) / self.prior.sigma
         ratio = self.path_scale / self.prior.sigma
         information = np.concatenate([ratio**2, self._chain_start**-2.0])

@@ -17,6 +17,8 @@ from geograph.kernels import compiled, flat
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.blocks import Sums
+
 
 class NotPositiveDefiniteError(ArithmeticError):
     """The linear system does not determine all unknowns to working precision."""
@@ -52,32 +54,36 @@ class Sweep:
     ----------
     knots
         Shape (n, d, d + s + 1): of each interval the rows of the knot after it over (knot,
-        constants, gradient): all that it and the intervals before say of that knot.
+        constants, gradient): all that it and the intervals before say of that knot. Of the last
+        interval alone, shape (1, ...), if only the ends were asked for.
     shares
-        Shape (n, s + 1, s + 1): what each interval adds to the rows of (constants, gradient).
-    inverse_roots
-        Shape (n, d, d): inverses of the factors of the noises' information.
-    gain
-        Shape (n, d, d + s + 1): w = -gain (x[k+1], constants, 1).
+        Shape (n, s + 1, s + 1): what each interval adds to the rows of (constants, gradient); of
+        all together, shape (1, ...), if only the ends were asked for.
     back, spread
         Shapes (n, d, d + s + 1), (n, d, d): x[k] = back (x[k+1], constants, 1) + spread v.
+    half_log
+        Half the log determinant of the information of the noises.
+    square
+        Twice the decrease of the cost that the noises' steps give.
     """
 
     knots: NDArray[np.float64]
     shares: NDArray[np.float64]
-    inverse_roots: NDArray[np.float64]
-    gain: NDArray[np.float64]
     back: NDArray[np.float64]
     spread: NDArray[np.float64]
+    half_log: float
+    square: float
 
 
 def sweep(
     knot: NDArray[np.float64],
     *,
-    blocks: NDArray[np.float64],
+    blocks: Sums,
     inverse_transition: NDArray[np.float64],
     noise_root: NDArray[np.float64],
     noise_residual: NDArray[np.float64],
+    damping: float = 0.0,
+    ends: bool = False,
 ) -> Sweep:
     """Eliminate the noise of every interval; turn the first knot's rows into the last one's.
 
@@ -87,6 +93,10 @@ def sweep(
         Shape (d, d + s + 1): rows of the first knot over (knot, constants, gradient).
     blocks, inverse_transition, noise_root, noise_residual
         Of n intervals, as in :class:`LinearSystem`.
+    damping
+        Added to the information of the first knot of every interval.
+    ends
+        Whether what lies between the first knot and the last is not asked for.
 
     Raises
     ------
@@ -94,12 +104,13 @@ def sweep(
         If the information of a noise is not positive definite.
     """
     if compiled is not None:
-        return _compiled_sweep(knot, blocks, inverse_transition, noise_root, noise_residual)
+        given = (inverse_transition, noise_root, noise_residual)
+        return _compiled_sweep(knot, blocks, given, damping=damping, ends=ends)
     d = knot.shape[0]
     # x[k] = A x[k+1] - B w.
     scaled_root = inverse_transition @ noise_root
     turn = np.concatenate([-scaled_root, inverse_transition], axis=2)
-    rows = _turned_rows(turn, blocks, noise_residual)
+    rows = _turned_rows(turn, blocks.knots, noise_residual, damping)
     count, _, width = rows.shape
     inverse_roots = np.empty((count, d, d))
     rests = np.empty((count, d, width - d))
@@ -120,46 +131,56 @@ def sweep(
         # Rounding that is not symmetric would grow over tens of thousands of knots.
         knot[:, :d] = 0.5 * (knot[:, :d] + knot[:, :d].T)
     beyond = rests[:, :, d:]
-    shares = blocks[:, 2 * d :, 2 * d :] - np.swapaxes(beyond, 1, 2) @ beyond
-    gain = np.swapaxes(inverse_roots, 1, 2) @ rests
-    back = scaled_root @ gain
+    taken = np.swapaxes(beyond, 1, 2) @ beyond
+    if ends:
+        knots = knots[-1:]
+        shares = (blocks.others.sum(axis=0) - taken.sum(axis=0))[None]
+    else:
+        shares = blocks.others - taken
+    back = scaled_root @ (np.swapaxes(inverse_roots, 1, 2) @ rests)
     back[:, :, :d] += inverse_transition
     spread = scaled_root @ np.swapaxes(inverse_roots, 1, 2)
-    return Sweep(knots, shares, inverse_roots, gain, back, spread)
+    half_log = -float(np.sum(np.log(np.einsum("kii->ki", inverse_roots))))
+    return Sweep(knots, shares, back, spread, half_log, float(np.sum(rests[:, :, -1] ** 2)))
 
 
 def _compiled_sweep(
     knot: NDArray[np.float64],
-    blocks: NDArray[np.float64],
-    inverse_transition: NDArray[np.float64],
-    noise_root: NDArray[np.float64],
-    noise_residual: NDArray[np.float64],
+    blocks: Sums,
+    given: tuple[NDArray[np.float64], ...],
+    *,
+    damping: float,
+    ends: bool,
 ) -> Sweep:
     """Return what :func:`sweep` does, from compiled code."""
     d, width = knot.shape
-    count, rest = blocks.shape[0], width - d
-    found = Sweep(
-        knots=np.empty((count, d, width)),
-        shares=np.empty((count, rest, rest)),
-        inverse_roots=np.empty((count, d, d)),
-        gain=np.empty((count, d, width)),
-        back=np.empty((count, d, width)),
-        spread=np.empty((count, d, d)),
-    )
-    given = (knot, blocks, inverse_transition, noise_root, noise_residual)
-    results = (found.knots, found.shares, found.inverse_roots, found.gain, found.back, found.spread)
-    if not compiled.sweep(count, d, rest, *map(flat, given), *results):
+    count, rest = blocks.knots.shape[0], width - d
+    held = 1 if ends else count
+    knots, shares = np.empty((held, d, width)), np.empty((held, rest, rest))
+    back, spread = np.empty((count, d, width)), np.empty((count, d, d))
+    sums = np.empty(2)
+    summed = blocks.others.sum(axis=0) if ends else blocks.others
+    arrays = map(flat, (knot, blocks.knots, summed, *given))
+    results = (knots, shares, back, spread, sums)
+    if not compiled.sweep(count, d, rest, int(ends), damping, *arrays, *results):
         raise NotPositiveDefiniteError
-    return found
+    return Sweep(knots, shares, back, spread, float(sums[0]), float(sums[1]))
 
 
 def _turned_rows(
-    turn: NDArray[np.float64], blocks: NDArray[np.float64], noise_residual: NDArray[np.float64]
+    turn: NDArray[np.float64],
+    blocks: NDArray[np.float64],
+    noise_residual: NDArray[np.float64],
+    damping: float,
 ) -> NDArray[np.float64]:
     """Return what measurements and noise add to the rows of (w, x[k+1]), for all intervals."""
     d = noise_residual.shape[1]
     index = np.arange(d)
-    first = np.swapaxes(turn, 1, 2) @ blocks[:, :d]
+    own = blocks[:, :d]
+    if damping:
+        own = own.copy()
+        own[:, index, index] += damping
+    first = np.swapaxes(turn, 1, 2) @ own
     # Columns of x[k] become columns of (w, x[k+1]).
     rows = np.concatenate([first[:, :, :d] @ turn, first[:, :, 2 * d :]], axis=2)
     cross = first[:, :, d : 2 * d]

@@ -9,6 +9,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from geograph.blocks import Sums
 from geograph.eliminate import Elimination, LinearSystem
 from geograph.factors.kinematics import noise_square_root, transition
 
@@ -32,7 +33,7 @@ def structured(knots, noise):
         blocks[min(k, knots - 2)] += np.outer(row, row)
     count = knots - 1
     system = LinearSystem(
-        blocks=blocks,
+        blocks=Sums.of(blocks, 2 * d),
         inverse_transition=np.repeat(transition(d, -1.0)[None], count, axis=0),
         noise_root=np.repeat(noise * noise_square_root(d, 1.0)[None], count, axis=0),
         noise_residual=np.zeros((count, d)),

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geograph import blocks as module
-from geograph.blocks import BlockSum, ColumnLayout
+from geograph.blocks import BlockSum, ColumnLayout, Sums
 from geograph.families import Evaluation
 
 PROFILE = settings(max_examples=40, deadline=None, derandomize=True)
@@ -23,7 +23,7 @@ def random_evaluation(rng, layout, interval, rows):
     return Evaluation(
         residual=rng.normal(size=(count, rows)),
         interval=interval,
-        by_knots=rng.normal(size=(count, rows, 2, path)),
+        by_path=rng.normal(size=(count, rows, 2, path)),
         constant_row=sparse["constant"][0],
         constant_column=sparse["constant"][1],
         by_constants=sparse["constant"][2],
@@ -67,11 +67,23 @@ def expected_blocks(layout, intervals, scale, found, root):
     chained=st.booleans(),
     weighted=st.booleans(),
     buffer_bytes=st.sampled_from([2**26, 2**14, 1]),
+    apart=st.booleans(),
 )
 def test_blocks_are_sums_of_products(
-    *, seed, intervals, count, rows, walks, constants, chained, weighted, buffer_bytes
+    *, seed, intervals, count, rows, walks, constants, chained, weighted, buffer_bytes, apart
 ):
     rng = np.random.default_rng(seed)
+
+    def together(blocks):
+        """Put what concerns the constants alone into the first interval, if it is not apart."""
+        found = blocks.copy()
+        if not apart:
+            found[:, layout.states :, layout.states :] = 0.0
+            found[0, layout.states :, layout.states :] = blocks[
+                :, layout.states :, layout.states :
+            ].sum(axis=0)
+        return found
+
     if not chained:
         intervals, walks = 1, 0
     layout = ColumnLayout(6, walks, constants, chained=chained)
@@ -80,18 +92,18 @@ def test_blocks_are_sums_of_products(
     found = random_evaluation(rng, layout, interval, rows)
     scale = rng.uniform(0.5, 2.0, 6)
     root = rng.random(count) if weighted else None
-    total = np.zeros((intervals, layout.width, layout.width))
+    total = Sums.zeros(layout, intervals, apart=apart)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "_BUFFER_BYTES", buffer_bytes)
         sums = BlockSum(layout, scale)
         sums.add(total, found, root)
         expected = expected_blocks(layout, intervals, scale, found, root)
-        np.testing.assert_allclose(total, expected, rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(total.full(), together(expected), rtol=1e-11, atol=1e-11)
         # Kept bookkeeping must notice that measurements moved to other intervals.
         moved = random_evaluation(rng, layout, rng.permutation(interval)[::-1].copy(), rows)
         sums.add(total, moved, root)
     expected += expected_blocks(layout, intervals, scale, moved, root)
-    np.testing.assert_allclose(total, expected, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(total.full(), together(expected), rtol=1e-11, atol=1e-11)
 
 
 def test_layout_of_columns():

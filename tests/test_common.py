@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from geograph import blocks as module
-from geograph.blocks import BlockSum, ColumnLayout
+from geograph.blocks import BlockSum, ColumnLayout, Sums
 from geograph.common import Common, project, settled
 from geograph.families.base import Evaluation, path_only_evaluation
 from geograph.losses import Loss
@@ -198,10 +198,11 @@ def test_blocks_of_sets_larger_and_smaller_than_a_pass(
     found = random_sets(rng, counts, prior=prior, constants=2, interval=interval)
     weight = rng.uniform(0.1, 1.0, sum(counts)) if weighted else np.ones(sum(counts))
     done = settled(found, weight, Loss("none"))
-    total = np.zeros((3, layout.width, layout.width))
+    sums = Sums.zeros(layout, 3, apart=True)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "_BUFFER_BYTES", buffer_bytes)
-        BlockSum(layout, np.ones(6)).add(total, done, np.sqrt(weight) if weighted else None)
+        BlockSum(layout, np.ones(6)).add(sums, done, np.sqrt(weight) if weighted else None)
+    total = sums.full()
     dense = np.zeros((sum(counts), layout.width - 1))
     dense[:, :12] = found.by_knots.reshape(-1, 12)
     dense[found.constant_row, 12 + found.constant_column] = found.by_constants[:, 0]

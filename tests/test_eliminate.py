@@ -8,6 +8,7 @@ import stiff_chain
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geograph.blocks import Sums
 from geograph.eliminate import Elimination, LinearSystem, NotPositiveDefiniteError
 
 PROFILE = settings(max_examples=60, deadline=None, derandomize=True)
@@ -15,12 +16,13 @@ PROFILE = settings(max_examples=60, deadline=None, derandomize=True)
 
 def random_system(rng, knots, d, s, *, undriven=0, rows=3):
     """Return a system of random measurements; the last ``undriven`` components have no noise."""
-    width = (2 * d if knots > 1 else d) + s + 1
+    states = 2 * d if knots > 1 else d
+    width = states + s + 1
     dense = rng.normal(size=(max(knots - 1, 1), rows, width))
     root = np.tril(rng.normal(size=(knots - 1, d, d))) + 2.0 * np.eye(d)
     root[:, :, d - undriven :] = 0.0
     return LinearSystem(
-        blocks=np.swapaxes(dense, 1, 2) @ dense,
+        blocks=Sums.of(np.swapaxes(dense, 1, 2) @ dense, states),
         inverse_transition=np.eye(d) + 0.3 * rng.normal(size=(knots - 1, d, d)) / d,
         noise_root=root * rng.choice([1.0, 1e-2]),
         noise_residual=rng.normal(size=(knots - 1, d)) * (np.arange(d) < d - undriven),
@@ -43,7 +45,7 @@ def dense_form(system, damping):
         states.append(forward @ states[-1] + noise)
     constants = np.eye(size)[size - s :]
     information, gradient = np.zeros((size, size)), np.zeros(size)
-    for k, block in enumerate(system.blocks):
+    for k, block in enumerate(system.blocks.full()):
         parts = states[k : k + 2] if count else states[:1]
         turn = np.concatenate([*parts, constants])
         information += turn.T @ block[:-1, :-1] @ turn
@@ -100,16 +102,19 @@ def test_step_decrease_and_covariances(seed, shape, damping, undriven):
 def test_the_system_is_left_as_it_was():
     """A damped attempt after an undamped one starts from the same numbers."""
     system = random_system(np.random.default_rng(0), 4, 3, 2)
-    before = {name: np.copy(value) for name, value in vars(system).items()}
+    parts = lambda: (vars(system) | vars(system.blocks)).items()  # noqa: E731
+    before = {name: np.copy(value) for name, value in parts() if name != "blocks"}
     Elimination(system, 5.0).solve()
     Elimination(system).marginals()
-    for name, value in vars(system).items():
+    for name, value in parts():
+        if name == "blocks":
+            continue
         np.testing.assert_array_equal(value, before[name])
 
 
 def test_damping_takes_out_what_is_not_determined():
     system = random_system(np.random.default_rng(1), 3, 2, 1)
-    system = replace(system, blocks=np.zeros_like(system.blocks), prior_information=np.zeros(2))
+    system = replace(system, blocks=Sums(*map(np.zeros_like, vars(system.blocks).values())), prior_information=np.zeros(2))
     with pytest.raises(NotPositiveDefiniteError):
         Elimination(system)
     assert np.isfinite(Elimination(system, 1e-3).solve().knots).all()
@@ -119,8 +124,8 @@ def test_damping_takes_out_what_is_not_determined():
 @pytest.mark.parametrize("bad", [np.nan, -1e9])
 def test_an_indefinite_system_is_refused(knots, bad):
     system = random_system(np.random.default_rng(2), knots, 3, 2)
-    blocks = system.blocks.copy()
-    blocks[0, 0, 0] += bad
+    blocks = replace(system.blocks, knots=system.blocks.knots.copy())
+    blocks.knots[0, 0, 0] += bad
     with pytest.raises(NotPositiveDefiniteError):
         Elimination(replace(system, blocks=blocks))
 

@@ -15,7 +15,7 @@ from test_families import kinds, made_possible
 import geograph as gg
 from geograph import blocks, motion, sweep
 from geograph.families import bearings
-from geograph.kernels import compiled
+from geograph.kernels import compiled, flat
 from geograph.motion import Density, Motion
 from geograph.scenarios import low_orbit_pass
 
@@ -56,12 +56,13 @@ def test_families_and_their_blocks(seed, kind, weighted):
     def work():
         found = problem.evaluate(values, jacobian=True)
         plain = problem.evaluate(values, jacobian=False)
-        width = problem.layout.width
-        total = np.zeros((max(problem.knots_s.size - 1, 1), width, width))
+        total = blocks.Sums.zeros(
+            problem.layout, max(problem.knots_s.size - 1, 1), apart=bool(seed % 2)
+        )
         for part in found:
             root = np.linspace(0.5, 1.5, part.residual.shape[0]) if weighted else None
             blocks.BlockSum(problem.layout, problem.path_scale).add(total, part, root)
-        return found, plain, total
+        return found, plain, total.full()
 
     # A light time is found from the last one: both start from the same.
     held = [getattr(family, "_light_time", None) for family in problem.families]
@@ -91,7 +92,7 @@ def random_system(rng, count, d, s):
     root = np.tril(rng.normal(size=(count, d, d))) * rng.choice([1.0, 1e-3, 0.0], (count, 1, 1))
     knot = np.concatenate([np.eye(d), rng.normal(size=(d, s + 1))], axis=1)
     return knot, {
-        "blocks": products,
+        "blocks": blocks.Sums.of(products, 2 * d),
         "inverse_transition": inverse,
         "noise_root": root,
         "noise_residual": rng.normal(size=(count, d)),
@@ -110,13 +111,14 @@ def test_sweep_back_substitution_and_marginals(count, d, s):
         root = np.linalg.cholesky(np.eye(d + s) + np.ones((d + s, d + s)))
         return (
             found,
+            sweep.sweep(knot, **system, damping=0.3, ends=True),
             sweep.substitute(found.back, last, constants),
             sweep.chain_marginals(found.back, found.spread, root),
         )
 
     ours, reference = work(), in_numpy(work)
-    alike(ours[1], reference[1], "substitute")
-    for found, other in ((ours[0], reference[0]), (ours[2], reference[2])):
+    alike(ours[2], reference[2], "substitute")
+    for found, other in zip(ours[:2] + ours[3:], reference[:2] + reference[3:], strict=True):
         for name in vars(found):
             alike(getattr(found, name), getattr(other, name), name)
 
@@ -124,7 +126,7 @@ def test_sweep_back_substitution_and_marginals(count, d, s):
 @needs_compiled
 def test_what_is_not_determined_is_refused_alike():
     knot, system = random_system(np.random.default_rng(1), 3, 4, 2)
-    system["blocks"][1] = -100.0 * np.eye(11)
+    system["blocks"].knots[1] = -100.0 * np.eye(8, 11)
 
     def work():
         with pytest.raises(sweep.NotPositiveDefiniteError):
@@ -181,13 +183,14 @@ def test_wrong_arrays_are_refused():
     with pytest.raises(TypeError, match="too few arguments"):
         compiled.sweep(1, 2)
     knot, system = random_system(np.random.default_rng(1), 2, 3, 1)
-    given_ = [knot, *system.values(), *(np.empty(1) for _ in range(6))]
-    with pytest.raises(ValueError, match=r"argument 8 holds 8 bytes of format d; expected 30"):
-        compiled.sweep(2, 3, 2, *given_)
-    with pytest.raises(ValueError, match="argument 3"):
-        compiled.sweep(2, 3, 2, knot.astype(np.float32), *given_[1:])
+    sums, *rest = system.values()
+    given_ = [knot, *map(flat, (sums.knots, sums.others)), *rest, *(np.empty(1) for _ in range(5))]
+    with pytest.raises(ValueError, match=r"argument 11 holds 8 bytes of format d; expected 30"):
+        compiled.sweep(2, 3, 2, 0, 0.0, *given_)
+    with pytest.raises(ValueError, match="argument 5"):
+        compiled.sweep(2, 3, 2, 0, 0.0, knot.astype(np.float32), *given_[1:])
     with pytest.raises((ValueError, BufferError)):
-        compiled.sweep(2, 3, 2, np.asfortranarray(knot), *given_[1:])
+        compiled.sweep(2, 3, 2, 0, 0.0, np.asfortranarray(knot), *given_[1:])
     with pytest.raises(TypeError, match="an array is missing"):
         compiled.marginals(0, 1, 1, None, np.empty(0), np.ones(1), np.empty(0))
     with pytest.raises(TypeError, match="too many arguments"):
@@ -197,15 +200,24 @@ def test_wrong_arrays_are_refused():
     with pytest.raises(ValueError, match="1 to 3 blocks"):
         compiled.kinematics(1, 4, *[None] * 8)
     none = np.empty(0)
-    total, scale, one = np.zeros((1, 7, 7)), np.ones(3), np.ones((1, 1))
+    total, last, scale, one = np.zeros((1, 6, 7)), np.zeros((1, 1, 1)), np.ones(3), np.ones((1, 1))
     index = np.zeros(0, dtype=np.int64)
+
+    def add(held, order, interval):
+        compiled.add_blocks(
+            1, held, 3, 0, 0, 1, 1, 1, order, 0, 0, total, last, one, np.array([interval]),
+            np.ones((1, 1, 2, 3)), None, scale, index, index, none, index, index, none, none, none,
+            None,
+        )  # fmt: skip
+
     for interval in (1, -1):
         with pytest.raises(IndexError, match="out of range"):
-            compiled.add_blocks(
-                1, 3, 0, 0, 1, 1, 1, 0, 0, total, one, np.array([interval]), np.ones((1, 1, 2, 3)),
-                scale, index, index, none, index, index, none, none, none, None,
-            )  # fmt: skip
+            add(1, 0, interval)
+    for held, order in ((2, 0), (1, 2)):
+        with pytest.raises(ValueError, match="expected sums of one interval or of each"):
+            add(held, order, 0)
     assert not total.any()
+    assert not last.any()
 
 
 def test_without_compiled_code_everything_works():

@@ -43,7 +43,7 @@ def dense_gradient(problem, values):
     d, m = problem.layout.knot, problem.layout.path
     knots = values.path.shape[0]
     by_knots = np.zeros((knots, d))
-    column = system.blocks[:, :-1, -1]
+    column = system.blocks.full()[:, :-1, -1]
     by_knots[0] += system.prior_gradient
     by_constants = system.constants + column[:, 2 * d if knots > 1 else d :].sum(axis=0)
     if knots == 1:
@@ -115,7 +115,7 @@ def test_blocks_are_the_gauss_newton_matrix(motion):
         ]
     constants = list(range(knots * d, expected.shape[0]))
     total = np.zeros_like(expected)
-    for k, block in enumerate(system.blocks):
+    for k, block in enumerate(system.blocks.full()):
         index = place[k] + (place[k + 1] if knots > 1 else []) + constants
         total[np.ix_(index, index)] += block[:-1, :-1]
     np.testing.assert_allclose(total, expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,6 +37,28 @@ class Values:
 
 
 @dataclass(frozen=True, eq=False)
+class ByPosition:
+    """Derivatives by both neighbours' states, of measurements of a position alone.
+
+    Attributes
+    ----------
+    weights
+        Shape (n, 2 order): of the blocks of the knot before and of the one after.
+    by_position
+        Shape (n, r, 3), SI.
+    """
+
+    weights: NDArray[np.float64]
+    by_position: NDArray[np.float64]
+
+    def expanded(self) -> NDArray[np.float64]:
+        """Return the derivatives themselves, shape (n, r, 2, 3 order)."""
+        count, rows, _ = self.by_position.shape
+        product = self.weights[:, None, :, None] * self.by_position[:, :, None, :]
+        return product.reshape(count, rows, 2, -1)
+
+
+@dataclass(frozen=True, eq=False)
 class Evaluation:
     """Whitened residuals of n measurements of r rows, and their derivatives.
 
@@ -45,8 +68,9 @@ class Evaluation:
         Shape (n, r); rows that a measurement does not have are zero.
     interval
         Shape (n,), integer: the knot before each measurement.
-    by_knots
-        Shape (n, r, 2, 3 order), SI, or None where no derivatives were asked for.
+    by_path
+        Derivatives by the knots' states, SI: shape (n, r, 2, 3 order), or their factors; None where
+        no derivatives were asked for.
     constant_row, constant_column, by_constants
         Shapes (e,), (e,), (e, r): entries of the derivative by constant states (scaled).
     walk_row, walk_column, walk_before, walk_after, by_walks
@@ -58,7 +82,7 @@ class Evaluation:
 
     residual: NDArray[np.float64]
     interval: NDArray[np.int64]
-    by_knots: NDArray[np.float64] | None
+    by_path: NDArray[np.float64] | ByPosition | None
     constant_row: NDArray[np.int64]
     constant_column: NDArray[np.int64]
     by_constants: NDArray[np.float64]
@@ -68,6 +92,11 @@ class Evaluation:
     walk_after: NDArray[np.float64]
     by_walks: NDArray[np.float64]
     common: Common | None = None
+
+    @cached_property
+    def by_knots(self) -> NDArray[np.float64] | None:
+        """Shape (n, r, 2, 3 order), SI: derivatives by the knots' states, if there are any."""
+        return self.by_path.expanded() if isinstance(self.by_path, ByPosition) else self.by_path
 
 
 _NO_INDEX = np.empty(0, dtype=np.int64)

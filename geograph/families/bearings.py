@@ -11,7 +11,7 @@ from geograph.factors.attitude import Turned, misaligned
 from geograph.factors.bearing import coordinate_residual, predict_bearing, tangent_residual
 from geograph.factors.kinematics import hermite_coefficients
 from geograph.factors.light_time import Sight, light_time_correction, sight
-from geograph.families.base import Evaluation, Report, SensorFamily, Values
+from geograph.families.base import ByPosition, Evaluation, Report, SensorFamily, Values
 from geograph.frames import frame_spin_rad_s
 from geograph.kernels import compiled, flat, indices
 from geograph.path import KinematicPathState
@@ -365,7 +365,9 @@ class BearingFamily(SensorFamily):
         residual, interval = np.empty((count, 2)), np.empty(count, dtype=np.int64)
         light_time, emitted = np.array(self._light_time, dtype=np.float64), np.empty(count)
         by_constants = np.empty((size, 2))
-        by_knots = np.empty((count, 2, 2, 3 * order)) if jacobian else None
+        by = None
+        if jacobian:
+            by = ByPosition(np.empty((count, 2 * order)), np.empty((count, 2, 3)))
         compiled.bearings(
             *(count, path.knots_s.size, order, size, _LIGHT_TIME_ROUNDS),
             *(int(self._clocked), int(self._fast), self.speed_m_s, self.spin_rad_s),
@@ -376,7 +378,8 @@ class BearingFamily(SensorFamily):
             *map(flat, (self.bearings.azimuth_rad, self.bearings.elevation_rad)),
             flat(self._noise_elevation),
             None if self._uniform else flat(self._tangent),
-            *(self._white, light_time, residual, interval, emitted, by_knots),
+            *(self._white, light_time, residual, interval, emitted),
+            *((by.weights, by.by_position) if by is not None else (None, None)),
             *(indices(entries.row[:size]), indices(entries.channel[:size])),
             *(flat(entries.basis[:size]), by_constants),
         )
@@ -385,7 +388,7 @@ class BearingFamily(SensorFamily):
         return Evaluation(
             residual,
             interval,
-            by_knots,
+            by,
             entries.row,
             entries.column,
             by_constants,

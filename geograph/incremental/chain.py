@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import lapack
 
+from geograph.blocks import Sums
 from geograph.families import Values
 from geograph.sweep import NotPositiveDefiniteError, chain_marginals, substitute, sweep
 
@@ -206,7 +207,7 @@ class Chain:
         if pieces:
             found = sweep(
                 self.forward[first],
-                blocks=np.array([piece.block for piece in pieces]),
+                blocks=Sums.of(np.array([piece.block for piece in pieces]), 2 * self.knot_size),
                 inverse_transition=np.array([piece.inverse for piece in pieces]),
                 noise_root=np.array([piece.root for piece in pieces]),
                 noise_residual=np.array([piece.noise for piece in pieces]),

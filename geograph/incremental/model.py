@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geograph.blocks import BlockSum, ColumnLayout
+from geograph.blocks import BlockSum, ColumnLayout, Sums
 from geograph.common import settled
 from geograph.families import CONSTRAINT_FAMILIES, FixFamily, SensorFamily
 from geograph.incremental.chain import Piece
@@ -288,9 +288,10 @@ class Model:
                 break
             order = sorted(where | set(order))
         self._check_span(chain, measured)
-        blocks = np.zeros((high + 1 - low, self.layout.width, self.layout.width))
+        sums = Sums.zeros(self.layout, high + 1 - low, apart=True)
         for part in measured:
-            self._add(blocks, part)
+            self._add(sums, part)
+        blocks = sums.full()
         if self.whole:
             for k in order:
                 blocks[k - low] += self._whole_block(chain, k)
@@ -310,7 +311,7 @@ class Model:
         if early or high > chain.knots_s[-1] + slack:
             raise SpanError(low, high)
 
-    def _add(self, blocks: NDArray[np.float64], part: Measured) -> None:
+    def _add(self, sums: Sums, part: Measured) -> None:
         square = np.einsum("ij,ij->i", part.found.residual, part.found.residual)
         kept = part.columns["kept"][part.order]
         weight = None if kept.all() else kept.astype(np.float64)
@@ -318,7 +319,7 @@ class Model:
             slope = self.loss.value_and_weight(square)[1]
             weight = slope if weight is None else weight * slope
         root = None if weight is None else np.sqrt(weight)
-        BlockSum(self.layout, self.path_scale).add(blocks, part.found, root)
+        BlockSum(self.layout, self.path_scale).add(sums, part.found, root)
 
     def reaching(self, chain: Chain) -> Model:
         """Return the model with what holds along the whole path spread as far as a chain goes."""
@@ -357,13 +358,13 @@ class Model:
         times = np.array(chain.knots_s[k : k + 2])
         path, values = self.motion.path(times), chain.values(k, k + 1)
         state = path.at_state(values.path, jacobian=True)
-        block = np.zeros((1, self.layout.width, self.layout.width))
+        sums = Sums.zeros(self.layout, 1)
         span = max(self.whole_s, chain.knots_s[-1] - self.since_s)
         share = np.full(2, 0.5 * (times[1] - times[0]) / span)
         for family in self.whole_families(times, share):
             found = family.evaluate(path, state, values, jacobian=True)
-            BlockSum(self.layout, self.path_scale).add(block, found, None)
-        return np.asarray(block[0])
+            BlockSum(self.layout, self.path_scale).add(sums, found, None)
+        return np.asarray(sums.full()[0])
 
     def _store(
         self,

@@ -23,6 +23,12 @@ here, their meaning in Python. Only the limited API is used: one build serves ev
 #define WIDE
 #endif
 
+#if defined(__GNUC__) || defined(__clang__)
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static inline
+#endif
+
 typedef Py_ssize_t Size;
 
 /* ---------------------------------------------------------------------------------- arrays */
@@ -33,6 +39,7 @@ typedef struct {
 } Array;
 
 #define MOST_ARRAYS 32
+#define MOST_ORDER 3
 
 typedef struct {
     PyObject *const *arguments;
@@ -166,8 +173,8 @@ static int complete(Reader *reader, int all)
 static inline void add_rows(Size k, Size n, double sign, const double *by, Size step,
                             const double *b, Size ldb, double *restrict row)
 {
-    Size j = 0;
-    for (; j + 3 <= k; j += 3) {
+    Size threes = k - k % 3;
+    for (Size j = 0; j < threes; j += 3) {
         double one = by[j * step], two = by[(j + 1) * step], three = by[(j + 2) * step];
         int used = (one != 0.0) + (two != 0.0) + (three != 0.0);
         if (used == 0)
@@ -187,7 +194,7 @@ static inline void add_rows(Size k, Size n, double sign, const double *by, Size 
         for (Size c = 0; c < n; c++)
             row[c] += one * first[c] + two * second[c] + three * third[c];
     }
-    for (; j < k; j++) {
+    for (Size j = threes; j < k; j++) {
         double only = by[j * step];
         if (only == 0.0)
             continue;
@@ -248,37 +255,67 @@ static inline int inverse_root(Size d, double *matrix, double *inverse)
 /* ---------------------------------------------------------------------------------- sweep */
 
 typedef struct {
-    Size d, c; /* components of a knot; constants and the gradient */
-    const double *knot, *blocks, *inverse_transition, *noise_root, *noise_residual;
-    double *knots, *shares, *inverse_roots, *gain, *back, *spread;
+    Size n, d, c; /* intervals; components of a knot; constants and the gradient */
+    int ends;
+    double damping;
+    const double *knot, *blocks, *others, *inverse_transition, *noise_root, *noise_residual;
+    double *knots, *shares, *back, *spread, *sums;
 } Sweep;
 
-/* One interval: rows of knot k (d x w) become those of knot k + 1. */
-WIDE static int sweep_step(const Sweep *all, Size k, const double *before, double *work)
+/* share -= R' R in its lower triangle, R (d x c), rows of R w apart. Rows are filled up to whole
+   registers: the upper triangle is written anew. */
+static inline void take_products(Size d, Size c, const double *rest, Size w, double *share)
 {
-    Size d = all->d, c = all->c, w = d + c, full = 2 * d + c;
-    const double *block = all->blocks + k * full * full;
+    for (Size i = 0; i < c; i++) {
+        Size end = (i + 4) & ~(Size)3;
+        add_rows(d, end > c ? c : end, -1.0, rest + i, w, rest, w, share + i * c);
+    }
+}
+
+static inline void mirror(Size size, double *matrix)
+{
+    for (Size i = 0; i < size; i++)
+        for (Size j = 0; j < i; j++)
+            matrix[j * size + i] = matrix[i * size + j];
+}
+
+/* One interval: rows of knot k (d x w), "before", become those of knot k + 1, "after". */
+INLINE int sweep_step(Size d, Size c, const Sweep *all, Size k, const double *before,
+                      double *restrict after, double *share, double *work)
+{
+    Size w = d + c, full = 2 * d + c;
+    const double *block = all->blocks + k * 2 * d * full;
     const double *a = all->inverse_transition + k * d * d;
     const double *root = all->noise_root + k * d * d;
-    double *b = work, *p = b + d * d, *g = p + d * w, *pb = g + d * w, *now = pb + d * d;
-    double *noise = now + d * w, *square = noise + d * w;
+    double *b = work, *pb = b + d * d, *square = pb + d * d, *noise = square + d * d;
+    double *rest = noise + d * w, *gain = rest + d * w;
+    double *inverse = gain + d * w, *p = inverse + d * d, *g = p + d * d;
+    memset(work, 0, sizeof(double) * (size_t)(3 * d * d + 3 * d * w));
     /* b = A L: x[k] = A x[k+1] - b w. */
-    memset(work, 0, sizeof(double) * (size_t)(3 * d * d + 4 * d * w));
     add_product(d, d, d, 1.0, a, d, root, d, b, d);
-    /* What is said of x[k]: p over (x[k], constants), with the cross part to x[k+1] apart. */
+    /* What is said of x[k]: p over x[k], and g = (p A + cross, what concerns the constants). */
     for (Size i = 0; i < d; i++) {
-        for (Size j = 0; j < d; j++)
-            p[i * w + j] = before[i * w + j] + block[i * full + j];
-        for (Size j = 0; j < c; j++)
-            p[i * w + d + j] = before[i * w + d + j] + block[i * full + 2 * d + j];
+        for (Size j = 0; j < d; j++) {
+            p[i * d + j] = before[i * w + j] + block[i * full + j];
+            g[i * w + j] = block[i * full + d + j];
+        }
+        p[i * d + i] += all->damping;
+        for (Size j = d; j < w; j++)
+            g[i * w + j] = before[i * w + j] + block[i * full + d + j];
     }
-    /* g = (p A + cross, what concerns the constants). */
-    for (Size i = 0; i < d; i++) {
-        memcpy(g + i * w, block + i * full + d, sizeof(double) * (size_t)d);
-        memcpy(g + i * w + d, p + i * w + d, sizeof(double) * (size_t)c);
-    }
-    add_product(d, d, d, 1.0, p, w, a, d, g, w);
-    add_product(d, d, d, 1.0, p, w, b, d, pb, d);
+    /* Transitions are mostly zeros: they are taken as rows or columns of "by", which skips these. */
+    for (Size i = 0; i < d; i++)
+        for (Size j = 0; j < d; j++) {
+            double by = p[i * d + j];
+            for (Size m = 0; m < d; m++)
+                g[i * w + m] += by * a[j * d + m];
+        }
+    for (Size i = 0; i < d; i++)
+        for (Size j = 0; j < d; j++) {
+            double by = p[i * d + j];
+            for (Size m = 0; m < d; m++)
+                pb[i * d + m] += by * b[j * d + m];
+        }
     /* Of the noise: (I + b' p b), and -b' g beside it. */
     add_transposed(d, d, d, 1.0, b, d, pb, d, square, d);
     add_transposed(d, d, w, -1.0, b, d, g, w, noise, w);
@@ -288,29 +325,39 @@ WIDE static int sweep_step(const Sweep *all, Size k, const double *before, doubl
     }
     /* Of x[k+1]: A' g + cross' A + its own part. */
     for (Size i = 0; i < d; i++)
-        memcpy(now + i * w, block + (d + i) * full + d, sizeof(double) * (size_t)w);
-    add_transposed(d, d, w, 1.0, a, d, g, w, now, w);
-    add_transposed(d, d, d, 1.0, block + d, full, a, d, now, w);
-    double *inverse = all->inverse_roots + k * d * d;
+        memcpy(after + i * w, block + (d + i) * full + d, sizeof(double) * (size_t)w);
+    add_transposed(d, d, w, 1.0, a, d, g, w, after, w);
+    for (Size i = 0; i < d; i++)
+        for (Size j = 0; j < d; j++) {
+            double by = block[j * full + d + i];
+            for (Size m = 0; m < d; m++)
+                after[i * w + m] += by * a[j * d + m];
+        }
     if (!inverse_root(d, square, inverse))
         return 0;
-    double *rest = p; /* not needed any more */
-    memset(rest, 0, sizeof(double) * (size_t)(d * w));
-    add_product(d, d, w, 1.0, inverse, d, noise, w, rest, w);
-    add_transposed(d, d, w, -1.0, rest, w, rest, w, now, w);
-    double *after = all->knots + k * d * w;
-    memcpy(after, now, sizeof(double) * (size_t)(d * w));
+    for (Size i = 0; i < d; i++)
+        add_rows(i + 1, w, 1.0, inverse + i * d, 1, noise, w, rest + i * w);
+    for (Size i = 0; i < d; i++)
+        add_rows(d, w, -1.0, rest + i, w, rest, w, after + i * w);
     /* Rounding that is not symmetric would grow over tens of thousands of knots. */
     for (Size i = 0; i < d; i++)
         for (Size j = 0; j < i; j++)
-            after[i * w + j] = after[j * w + i] = 0.5 * (now[i * w + j] + now[j * w + i]);
-    double *share = all->shares + k * c * c;
-    for (Size i = 0; i < c; i++)
-        memcpy(share + i * c, block + (2 * d + i) * full + 2 * d, sizeof(double) * (size_t)c);
-    add_transposed(c, d, c, -1.0, rest + d, w, rest + d, w, share, c);
-    double *gain = all->gain + k * d * w, *back = all->back + k * d * w;
-    memset(gain, 0, sizeof(double) * (size_t)(d * w));
-    add_transposed(d, d, w, 1.0, inverse, d, rest, w, gain, w);
+            after[i * w + j] = after[j * w + i] = 0.5 * (after[i * w + j] + after[j * w + i]);
+    take_products(d, c, rest + d, w, share);
+    double product = 1.0, sum = 0.0;
+    for (Size i = 0; i < d; i++) {
+        product *= inverse[i * d + i];
+        sum += rest[i * w + w - 1] * rest[i * w + w - 1];
+    }
+    if (product > 1e-250 && product < 1e250)
+        all->sums[0] -= log(product);
+    else
+        for (Size i = 0; i < d; i++)
+            all->sums[0] -= log(inverse[i * d + i]);
+    all->sums[1] += sum;
+    for (Size i = 0; i < d; i++)
+        add_rows(d - i, w, 1.0, inverse + i * d + i, d, rest + i * w, w, gain + i * w);
+    double *back = all->back + k * d * w;
     memset(back, 0, sizeof(double) * (size_t)(d * w));
     for (Size i = 0; i < d; i++)
         memcpy(back + i * w, a + i * d, sizeof(double) * (size_t)d);
@@ -329,45 +376,85 @@ WIDE static int sweep_step(const Sweep *all, Size k, const double *before, doubl
     return 1;
 }
 
+INLINE int sweep_chain(Size d, const Sweep *all, double *work)
+{
+    Size c = all->c, w = d + c;
+    const double *knot = all->knot;
+    double *spare = work + 6 * d * d + 5 * d * w;
+    for (Size k = 0; k < all->n; k++) {
+        /* With the ends alone, rows alternate between two places, so that the last is the result. */
+        double *after = all->knots + k * d * w, *share = all->shares + k * c * c;
+        if (all->ends) {
+            after = (all->n - k) % 2 ? all->knots : spare;
+            share = all->shares;
+        } else
+            memcpy(share, all->others + k * c * c, sizeof(double) * (size_t)(c * c));
+        if (!sweep_step(d, c, all, k, knot, after, share, work))
+            return 0;
+        if (!all->ends)
+            mirror(c, share);
+        knot = after;
+    }
+    if (all->ends)
+        mirror(c, all->shares);
+    return 1;
+}
+
+/* Loops of known length are unrolled for the usual sizes of a knot. */
+WIDE static int sweep_all(const Sweep *all, double *work)
+{
+    switch (all->d) {
+    case 6:
+        return sweep_chain(6, all, work);
+    case 9:
+        return sweep_chain(9, all, work);
+    default:
+        return sweep_chain(all->d, all, work);
+    }
+}
+
 static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
 {
     (void)self;
     Reader reader;
     Sweep all;
     start(&reader, arguments, given);
-    Size n = whole(&reader);
+    Size n = all.n = whole(&reader);
     Size d = all.d = whole(&reader), c = all.c = whole(&reader);
-    Size w = d + c, full = w + d;
+    all.ends = (int)whole(&reader);
+    all.damping = number(&reader);
+    Size w = d + c, full = w + d, held = all.ends ? 1 : n;
     all.knot = reals(&reader, d * w);
-    all.blocks = reals(&reader, n * full * full);
+    all.blocks = reals(&reader, n * 2 * d * full);
+    all.others = reals(&reader, held * c * c);
     all.inverse_transition = reals(&reader, n * d * d);
     all.noise_root = reals(&reader, n * d * d);
     all.noise_residual = reals(&reader, n * d);
-    all.knots = results(&reader, n * d * w);
-    all.shares = results(&reader, n * c * c);
-    all.inverse_roots = results(&reader, n * d * d);
-    all.gain = results(&reader, n * d * w);
+    all.knots = results(&reader, held * d * w);
+    all.shares = results(&reader, held * c * c);
     all.back = results(&reader, n * d * w);
     all.spread = results(&reader, n * d * d);
-    int there = all.knot && all.blocks && all.inverse_transition && all.noise_root &&
-                all.noise_residual && all.knots && all.shares && all.inverse_roots && all.gain &&
-                all.back && all.spread;
+    all.sums = results(&reader, 2);
+    int there = all.knot && all.blocks && all.others && all.inverse_transition && all.noise_root &&
+                all.noise_residual && all.knots && all.shares && all.back && all.spread && all.sums;
     if (!complete(&reader, there)) {
         release(&reader);
         return NULL;
     }
-    double *work = malloc(sizeof(double) * (size_t)(3 * d * d + 4 * d * w));
+    double *work = malloc(sizeof(double) * (size_t)(6 * d * d + 6 * d * w + 1));
     if (work == NULL) {
         release(&reader);
         return PyErr_NoMemory();
     }
-    int good = 1;
+    int good;
     Py_BEGIN_ALLOW_THREADS
-    const double *knot = all.knot;
-    for (Size k = 0; k < n && good; k++) {
-        good = sweep_step(&all, k, knot, work);
-        knot = all.knots + k * d * w;
+    all.sums[0] = all.sums[1] = 0.0;
+    if (all.ends) {
+        memcpy(all.shares, all.others, sizeof(double) * (size_t)(c * c));
+        if (n == 0)
+            memcpy(all.knots, all.knot, sizeof(double) * (size_t)(d * w));
     }
+    good = sweep_all(&all, work);
     Py_END_ALLOW_THREADS
     free(work);
     release(&reader);
@@ -466,12 +553,24 @@ static PyObject *substitute(PyObject *self, PyObject *const *arguments, Size giv
 /* ---------------------------------------------------------------------------------- blocks */
 
 typedef struct {
-    Size n, r, intervals, path, walks, constants, e, f;
+    Size n, r, intervals, held, path, walks, constants, order, e, f;
     int chained;
-    double *total;
-    const double *residual, *by_knots, *scale, *by_constants, *before, *after, *by_walks, *weight;
+    double *knots, *others;
+    const double *residual, *by_path, *weights, *scale, *by_constants, *before, *after, *by_walks;
+    const double *weight;
     const int64_t *interval, *constant_row, *constant_column, *walk_row, *walk_column;
+    const Size *first, *entry, *first_walk, *entry_walk;
 } Blocks;
+
+/* What the measurements of one interval add up to before it is written to the result: products of
+   the knots' columns, or moments of which these are made, and of these columns with the others'. */
+typedef struct {
+    Size columns;                     /* of the knots that the measurements touch */
+    Size column[2 * 3 * MOST_ORDER];  /* which these are, where they are not all */
+    double scale[2 * 3 * MOST_ORDER];
+    double *own, *cross, *row;
+    char *touched;
+} Held;
 
 /* Index the entries of each row: those of row i are order[first[i]] to order[first[i + 1] - 1]. */
 static int by_row(Size n, Size e, const int64_t *row, Size *first, Size *order)
@@ -491,16 +590,16 @@ static int by_row(Size n, Size e, const int64_t *row, Size *first, Size *order)
 
 /* Lay out one row of a measurement over the columns of its knots. */
 static inline void lay_out(const Blocks *all, Size i, Size q, double root, Size d, Size knots,
-                           const Size *first_walk, const Size *order_walk, double *row)
+                           double *row)
 {
-    const double *by = all->by_knots + (i * all->r + q) * 2 * all->path;
+    const double *by = all->by_path + (i * all->r + q) * 2 * all->path;
     if (all->walks)
         memset(row, 0, sizeof(double) * (size_t)knots);
     for (Size half = 0; half * d < knots; half++)
         for (Size j = 0; j < all->path; j++)
             row[half * d + j] = root * by[half * all->path + j] * all->scale[j];
-    for (Size k = first_walk[i]; k < first_walk[i + 1]; k++) {
-        Size entry = order_walk[k];
+    for (Size k = all->first_walk[i]; k < all->first_walk[i + 1]; k++) {
+        Size entry = all->entry_walk[k];
         Size column = all->path + (Size)all->walk_column[entry];
         double value = root * all->by_walks[entry * all->r + q];
         row[column] += value * all->before[entry];
@@ -508,62 +607,229 @@ static inline void lay_out(const Blocks *all, Size i, Size q, double root, Size 
     }
 }
 
-/* Add all rows' products to the lower triangles. The rows of a measurement go in pairs: row and
-   other, the second of which is zero where their number is odd. */
-WIDE static int add_all(const Blocks *all, const Size *first, const Size *order,
-                        const Size *first_walk, const Size *order_walk, double *row)
+/* Add the products of a measurement's residual and its derivatives by the constants. */
+static inline void add_others(const Blocks *all, Size i, double root, double *others)
 {
-    Size d = all->path + all->walks, knots = all->chained ? 2 * d : d;
-    Size width = knots + all->constants + 1, r = all->r;
-    double *restrict other = row + width;
-    for (Size i = 0; i < all->n; i++) {
-        int64_t place = all->interval[i];
-        if (place < 0 || place >= all->intervals)
-            return 0;
-        double *total = all->total + place * width * width;
-        double root = all->weight == NULL ? 1.0 : all->weight[i];
-        for (Size q = 0; q < r; q += 2) {
-            int pair = q + 1 < r;
-            lay_out(all, i, q, root, d, knots, first_walk, order_walk, row);
-            if (pair)
-                lay_out(all, i, q + 1, root, d, knots, first_walk, order_walk, other);
+    Size r = all->r, last = all->constants, c = last + 1;
+    const double *residual = all->residual + i * r;
+    double square = root * root;
+    for (Size k = all->first[i]; k < all->first[i + 1]; k++) {
+        const double *by = all->by_constants + all->entry[k] * r;
+        Size column = (Size)all->constant_column[all->entry[k]];
+        double *out = others + column * c;
+        for (Size m = all->first[i]; m <= k; m++) {
+            const double *next = all->by_constants + all->entry[m] * r;
+            Size beside = (Size)all->constant_column[all->entry[m]];
+            double product = 0.0;
+            for (Size q = 0; q < r; q++)
+                product += by[q] * next[q];
+            product *= square;
+            if (beside <= column)
+                out[beside] += product;
             else
-                memset(other, 0, sizeof(double) * (size_t)knots);
-            double residual[2] = {root * all->residual[i * r + q],
-                                  pair ? root * all->residual[i * r + q + 1] : 0.0};
-            for (Size a = 0; a < knots; a++) {
-                double one = row[a], two = other[a];
-                double *restrict out = total + a * width;
-                /* A few columns beyond the diagonal, so that whole registers are filled: the upper
-                   triangle is written anew in the end. */
-                Size end = (a + 4) & ~(Size)3;
-                if (end > knots)
-                    end = knots;
-                for (Size b = 0; b < end; b++)
-                    out[b] += one * row[b] + two * other[b];
-            }
-            for (Size k = first[i]; k < first[i + 1]; k++) {
-                const double *by = all->by_constants + order[k] * r + q;
-                Size column = knots + (Size)all->constant_column[order[k]];
-                double one = root * by[0], two = pair ? root * by[1] : 0.0;
-                double *restrict out = total + column * width;
-                for (Size b = 0; b < knots; b++)
-                    out[b] += one * row[b] + two * other[b];
-                for (Size m = first[i]; m < first[i + 1]; m++) {
-                    const double *next = all->by_constants + order[m] * r + q;
-                    Size beside = knots + (Size)all->constant_column[order[m]];
-                    if (beside <= column)
-                        out[beside] += root * (one * next[0] + (pair ? two * next[1] : 0.0));
-                }
-                total[(width - 1) * width + column] += one * residual[0] + two * residual[1];
-            }
-            double *restrict out = total + (width - 1) * width;
+                others[beside * c + column] += product;
+            if (beside == column && m < k)
+                /* Two entries in one place: each meets the other. */
+                out[beside] += product;
+        }
+        double product = 0.0;
+        for (Size q = 0; q < r; q++)
+            product += by[q] * residual[q];
+        others[last * c + column] += square * product;
+    }
+    double product = 0.0;
+    for (Size q = 0; q < r; q++)
+        product += residual[q] * residual[q];
+    others[last * c + last] += square * product;
+}
+
+/* Add a measurement's rows to the sums of its interval, two at a time. */
+static inline void add_rows_of(const Blocks *all, Size i, double root, Size d, Size knots,
+                               Held *held)
+{
+    Size r = all->r;
+    double *row = held->row, *restrict other = row + knots;
+    for (Size q = 0; q < r; q += 2) {
+        int pair = q + 1 < r;
+        lay_out(all, i, q, root, d, knots, row);
+        if (pair)
+            lay_out(all, i, q + 1, root, d, knots, other);
+        else
+            memset(other, 0, sizeof(double) * (size_t)knots);
+        for (Size a = 0; a < knots; a++) {
+            double one = row[a], two = other[a];
+            double *restrict out = held->own + a * knots;
+            /* A few columns beyond the diagonal, so that whole registers are filled. */
+            Size end = (a + 4) & ~(Size)3;
+            if (end > knots)
+                end = knots;
+            for (Size b = 0; b < end; b++)
+                out[b] += one * row[b] + two * other[b];
+        }
+        for (Size k = all->first[i]; k <= all->first[i + 1]; k++) {
+            int residual = k == all->first[i + 1];
+            const double *by = residual ? all->residual + i * r + q
+                                        : all->by_constants + all->entry[k] * r + q;
+            Size column = residual ? all->constants : (Size)all->constant_column[all->entry[k]];
+            double one = root * by[0], two = pair ? root * by[1] : 0.0;
+            double *restrict out = held->cross + column * knots;
+            held->touched[column] = 1;
             for (Size b = 0; b < knots; b++)
-                out[b] += residual[0] * row[b] + residual[1] * other[b];
-            out[width - 1] += residual[0] * residual[0] + residual[1] * residual[1];
+                out[b] += one * row[b] + two * other[b];
         }
     }
+}
+
+/* Pairs of blocks, later times earlier, in the order of their moments; padded to whole registers. */
+#define MOST_PAIRS 24
+
+/* The same where the rows are weights of the blocks times a derivative by the position: six moments
+   of each pair of blocks, of which the products are made once an interval. Columns are those of
+   one axis after another. */
+INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Size knots, Held *held)
+{
+    Size r = all->r;
+    const double *w = all->weights + i * size, *by = all->by_path + i * r * 3;
+    double square = root * root, moment[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+    for (Size q = 0; q < r; q++) {
+        const double *j = by + 3 * q;
+        moment[0] += j[0] * j[0];
+        moment[1] += j[1] * j[0];
+        moment[2] += j[1] * j[1];
+        moment[3] += j[2] * j[0];
+        moment[4] += j[2] * j[1];
+        moment[5] += j[2] * j[2];
+    }
+    double pair[MOST_PAIRS] = {0.0};
+    Size p = 0;
+    for (Size a = 0; a < size; a++)
+        for (Size b = 0; b <= a; b++)
+            pair[p++] = square * w[a] * w[b];
+    Size pairs = (p + 3) & ~(Size)3;
+    for (Size m = 0; m < 6; m++) {
+        double *restrict out = held->own + m * MOST_PAIRS;
+        for (Size b = 0; b < pairs; b++)
+            out[b] += moment[m] * pair[b];
+    }
+    for (Size k = all->first[i]; k <= all->first[i + 1]; k++) {
+        int residual = k == all->first[i + 1];
+        const double *other = residual ? all->residual + i * r
+                                       : all->by_constants + all->entry[k] * r;
+        Size column = residual ? all->constants : (Size)all->constant_column[all->entry[k]];
+        double along[3] = {0.0, 0.0, 0.0};
+        for (Size q = 0; q < r; q++)
+            for (Size j = 0; j < 3; j++)
+                along[j] += by[3 * q + j] * other[q];
+        held->touched[column] = 1;
+        double *restrict out = held->cross + column * knots;
+        for (Size j = 0; j < 3; j++) {
+            double value = square * along[j];
+            for (Size b = 0; b < size; b++)
+                out[j * size + b] += value * w[b];
+        }
+    }
+}
+
+/* Write what was held of an interval, and hold nothing. */
+static inline void put(const Blocks *all, Size place, Size knots, Held *held)
+{
+    Size width = knots + all->constants + 1, size = 2 * all->order;
+    double *total = all->knots + place * knots * width;
+    if (all->order) {
+        for (Size j = 0; j < 3; j++)
+            for (Size m = 0; m <= j; m++) {
+                double *own = held->own + (j * (j + 1) / 2 + m) * MOST_PAIRS;
+                for (Size a = 0; a < size; a++)
+                    for (Size b = 0; b < size; b++) {
+                        double value = own[a >= b ? a * (a + 1) / 2 + b : b * (b + 1) / 2 + a];
+                        Size one = j * size + a, two = m * size + b;
+                        value *= held->scale[one] * held->scale[two];
+                        total[held->column[one] * width + held->column[two]] += value;
+                        if (m < j)
+                            total[held->column[two] * width + held->column[one]] += value;
+                    }
+            }
+        memset(held->own, 0, sizeof(double) * 6 * MOST_PAIRS);
+    } else {
+        for (Size a = 0; a < knots; a++) {
+            for (Size b = 0; b < a; b++) {
+                total[a * width + b] += held->own[a * knots + b];
+                total[b * width + a] += held->own[a * knots + b];
+            }
+            total[a * width + a] += held->own[a * knots + a];
+        }
+        memset(held->own, 0, sizeof(double) * (size_t)(knots * knots));
+    }
+    for (Size column = 0; column <= all->constants; column++) {
+        if (!held->touched[column])
+            continue;
+        double *cross = held->cross + column * knots;
+        held->touched[column] = 0;
+        for (Size k = 0; k < held->columns; k++) {
+            Size a = all->order ? held->column[k] : k;
+            double scale = all->order ? held->scale[k] : 1.0;
+            total[a * width + knots + column] += scale * cross[k];
+            cross[k] = 0.0;
+        }
+    }
+}
+
+INLINE int add_all_of(Size order, const Blocks *all, Held *held)
+{
+    Size d = all->path + all->walks, knots = all->chained ? 2 * d : d;
+    Size c = all->constants + 1, before = -1;
+    for (Size i = 0; i < all->n; i++) {
+        Size place = (Size)all->interval[i];
+        if (place != before && before >= 0)
+            put(all, before, knots, held);
+        before = place;
+        double root = all->weight == NULL ? 1.0 : all->weight[i];
+        if (order)
+            add_moments_of(2 * order, all, i, root, knots, held);
+        else
+            add_rows_of(all, i, root, d, knots, held);
+        add_others(all, i, root, all->others + (all->held > 1 ? place * c * c : 0));
+    }
+    if (before >= 0)
+        put(all, before, knots, held);
+    for (Size k = 0; k < all->held; k++)
+        mirror(c, all->others + k * c * c);
     return 1;
+}
+
+WIDE static int add_all(const Blocks *all, Held *held)
+{
+    switch (all->order) {
+    case 0:
+        return add_all_of(0, all, held);
+    case 1:
+        return add_all_of(1, all, held);
+    case 2:
+        return add_all_of(2, all, held);
+    default:
+        return add_all_of(3, all, held);
+    }
+}
+
+/* Make room for the sums of an interval; NULL without memory. */
+static double *make_room(const Blocks *all, Size knots, Held *held)
+{
+    Size columns = all->constants + 1, size = 2 * all->order, d = all->path + all->walks;
+    Size own = all->order ? 6 * MOST_PAIRS : knots * knots;
+    double *room = calloc((size_t)(own + columns * knots + 2 * knots + 1),  sizeof(double));
+    if (room == NULL)
+        return NULL;
+    held->own = room;
+    held->cross = held->own + own;
+    held->row = held->cross + columns * knots;
+    held->columns = all->order ? 3 * size : knots;
+    for (Size j = 0; j < 3; j++)
+        for (Size b = 0; b < size; b++) {
+            Size half = b / all->order, component = 3 * (b % all->order) + j;
+            held->column[j * size + b] = half * d + component;
+            held->scale[j * size + b] = all->scale[component];
+        }
+    return room;
 }
 
 static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size given)
@@ -573,20 +839,32 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
     Blocks all;
     start(&reader, arguments, given);
     all.intervals = whole(&reader);
+    all.held = whole(&reader);
     all.path = whole(&reader);
     all.walks = whole(&reader);
     all.constants = whole(&reader);
     all.chained = (int)whole(&reader);
     all.n = whole(&reader);
     all.r = whole(&reader);
+    all.order = whole(&reader);
     all.e = whole(&reader);
     all.f = whole(&reader);
-    Size d = all.path + all.walks;
-    Size width = (all.chained ? 2 * d : d) + all.constants + 1;
-    all.total = results(&reader, all.intervals * width * width);
+    if (!reader.failed &&
+        ((all.held != 1 && all.held != all.intervals) ||
+         (all.order && (!all.chained || all.f || all.path != 3 * all.order ||
+                        all.order > MOST_ORDER)))) {
+        PyErr_SetString(PyExc_ValueError, "expected sums of one interval or of each; weights of "
+                                          "blocks only along a chain of 1 to 3 blocks");
+        reader.failed = 1;
+    }
+    Size d = all.path + all.walks, knots = all.chained ? 2 * d : d;
+    Size columns = all.constants + 1;
+    all.knots = results(&reader, all.intervals * knots * (knots + columns));
+    all.others = results(&reader, all.held * columns * columns);
     all.residual = reals(&reader, all.n * all.r);
     all.interval = integers(&reader, all.n);
-    all.by_knots = reals(&reader, all.n * all.r * 2 * all.path);
+    all.by_path = reals(&reader, all.n * all.r * (all.order ? 3 : 2 * all.path));
+    all.weights = reals(&reader, all.n * 2 * all.order);
     all.scale = reals(&reader, all.path);
     all.constant_row = integers(&reader, all.e);
     all.constant_column = integers(&reader, all.e);
@@ -597,42 +875,45 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
     all.after = reals(&reader, all.f);
     all.by_walks = reals(&reader, all.f * all.r);
     all.weight = reals(&reader, all.n);
-    int there = all.total && all.residual && all.interval && all.by_knots && all.scale &&
-                all.constant_row && all.constant_column && all.by_constants && all.walk_row &&
-                all.walk_column && all.before && all.after && all.by_walks;
+    int there = all.knots && all.others && all.residual && all.interval && all.by_path &&
+                all.scale && all.constant_row && all.constant_column && all.by_constants &&
+                all.walk_row && all.walk_column && all.before && all.after && all.by_walks &&
+                (all.weights || !all.order);
     if (!complete(&reader, there)) {
         release(&reader);
         return NULL;
     }
-    int fits = 1;
+    int fits = all.f == 0 || all.chained;
+    for (Size k = 0; k < all.n; k++)
+        fits &= all.interval[k] >= 0 && all.interval[k] < all.intervals;
     for (Size k = 0; k < all.e; k++)
         fits &= all.constant_column[k] >= 0 && all.constant_column[k] < all.constants;
     for (Size k = 0; k < all.f; k++)
         fits &= all.walk_column[k] >= 0 && all.walk_column[k] < all.walks;
-    fits &= all.f == 0 || all.chained;
     Size *index = malloc(sizeof(Size) * (size_t)(2 * (all.n + 2) + all.e + all.f));
-    double *row = malloc(sizeof(double) * (size_t)(2 * width));
-    if (index == NULL || row == NULL) {
+    Held held;
+    double *room = make_room(&all, knots, &held);
+    held.touched = calloc((size_t)columns, 1);
+    if (index == NULL || room == NULL || held.touched == NULL) {
         free(index);
-        free(row);
+        free(room);
+        free(held.touched);
         release(&reader);
         return PyErr_NoMemory();
     }
     Py_BEGIN_ALLOW_THREADS
     Size *first = index, *first_walk = first + all.n + 2;
-    Size *order = first_walk + all.n + 2, *order_walk = order + all.e;
-    fits = fits && by_row(all.n, all.e, all.constant_row, first, order) &&
-           by_row(all.n, all.f, all.walk_row, first_walk, order_walk) &&
-           add_all(&all, first, order, first_walk, order_walk, row);
-    for (Size k = 0; fits && k < all.intervals; k++) {
-        double *total = all.total + k * width * width;
-        for (Size i = 0; i < width; i++)
-            for (Size j = 0; j < i; j++)
-                total[j * width + i] = total[i * width + j];
-    }
+    Size *entry = first_walk + all.n + 2, *entry_walk = entry + all.e;
+    all.first = first;
+    all.first_walk = first_walk;
+    all.entry = entry;
+    all.entry_walk = entry_walk;
+    fits = fits && by_row(all.n, all.e, all.constant_row, first, entry) &&
+           by_row(all.n, all.f, all.walk_row, first_walk, entry_walk) && add_all(&all, &held);
     Py_END_ALLOW_THREADS
     free(index);
-    free(row);
+    free(room);
+    free(held.touched);
     release(&reader);
     if (!fits) {
         PyErr_SetString(PyExc_IndexError, "an interval, row or column is out of range");
@@ -642,8 +923,6 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
 }
 
 /* ---------------------------------------------------------------------------------- bearings */
-
-#define MOST_ORDER 3
 
 /* Channels of error, as geograph.states has them; the module exports them to be checked. */
 enum { AZIMUTH = 0, ELEVATION = 1, CLOCK = 2, POSITION = 3, VELOCITY = 6, SPEED = 10, CHANNELS = 14 };
@@ -655,10 +934,11 @@ typedef struct {
     const double *azimuth, *elevation, *noise_elevation, *tangent, *white;
     double speed_m_s, spin_rad_s, enough_s;
     int clocked, fast, rounds;
-    double *light_time_s, *residual, *time_s, *by_knots, *by_constants;
+    double *light_time_s, *residual, *time_s, *weights, *by_position, *by_constants;
     int64_t *interval;
     const int64_t *constant_row, *constant_channel;
     const double *constant_basis;
+    const Size *first, *entry;
 } Bearings;
 
 static inline double dot(const double *a, const double *b)
@@ -906,9 +1186,9 @@ static inline void derive(const Bearings *all, Size i, const Sight *seen, const 
     }
 }
 
-WIDE static void bearings_all(const Bearings *all, double *by_channel)
+INLINE void bearings_of(Size order, const Bearings *all)
 {
-    Size order = all->order, size = 2 * order, guess = 0;
+    Size size = 2 * order, guess = 0;
     /* Of the recording's, and the same for all of its measurements. */
     double speed = all->speed_m_s + (all->n ? all->errors[SPEED] : 0.0);
     for (Size i = 0; i < all->n; i++) {
@@ -961,29 +1241,31 @@ WIDE static void bearings_all(const Bearings *all, double *by_channel)
             miss = coordinate_miss(sight, azimuth, elevation);
         for (int q = 0; q < 2; q++)
             all->residual[2 * i + q] = miss.value[q] * all->white[2 * i + q];
-        if (all->by_knots == NULL)
+        if (all->by_position == NULL)
             continue;
-        double by_position[2][3];
-        double(*channel)[CHANNELS] = (double(*)[CHANNELS])(by_channel + 2 * CHANNELS * i);
-        derive(all, i, &seen, &miss, speed, channel, by_position);
-        double *out = all->by_knots + i * 2 * size * 3;
-        for (int q = 0; q < 2; q++)
-            for (Size b = 0; b < size; b++)
-                for (int j = 0; j < 3; j++)
-                    *out++ = place[b] * by_position[q][j];
+        double channel[2][CHANNELS];
+        derive(all, i, &seen, &miss, speed, channel, (double(*)[3])(all->by_position + 6 * i));
+        memcpy(all->weights + i * size, place, sizeof(double) * (size_t)size);
+        for (Size k = all->first[i]; k < all->first[i + 1]; k++) {
+            Size entry = all->entry[k], by = (Size)all->constant_channel[entry];
+            for (int q = 0; q < 2; q++)
+                all->by_constants[2 * entry + q] = channel[q][by] * all->constant_basis[entry];
+        }
     }
 }
 
-static int gather(Size n, Size e, const int64_t *row, const int64_t *channel, const double *basis,
-                  const double *by_channel, double *out)
+WIDE static void bearings_all(const Bearings *all)
 {
-    for (Size k = 0; k < e; k++) {
-        if (row[k] < 0 || row[k] >= n || channel[k] < 0 || channel[k] >= CHANNELS)
-            return 0;
-        for (int q = 0; q < 2; q++)
-            out[2 * k + q] = by_channel[(2 * row[k] + q) * CHANNELS + channel[k]] * basis[k];
+    switch (all->order) {
+    case 1:
+        bearings_of(1, all);
+        break;
+    case 2:
+        bearings_of(2, all);
+        break;
+    default:
+        bearings_of(3, all);
     }
-    return 1;
 }
 
 static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given)
@@ -1023,7 +1305,8 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.residual = results(&reader, 2 * n);
     all.interval = whole_results(&reader, n);
     all.time_s = results(&reader, n);
-    all.by_knots = results(&reader, n * 2 * 2 * order * 3);
+    all.weights = results(&reader, n * 2 * order);
+    all.by_position = results(&reader, n * 2 * 3);
     all.constant_row = integers(&reader, e);
     all.constant_channel = integers(&reader, e);
     all.constant_basis = reals(&reader, e);
@@ -1031,29 +1314,31 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     int there = all.knots_s && all.basis && all.hermite && all.received_s && all.sensor_m &&
                 all.axes && all.sensor_velocity && all.errors && all.azimuth && all.elevation &&
                 all.white && all.light_time_s && all.residual && all.interval && all.time_s;
-    if (all.by_knots != NULL)
-        there = there && all.constant_row && all.constant_channel && all.constant_basis &&
-                all.by_constants;
+    if (all.by_position != NULL)
+        there = there && all.weights && all.constant_row && all.constant_channel &&
+                all.constant_basis && all.by_constants;
     if (!complete(&reader, there)) {
         release(&reader);
         return NULL;
     }
-    double *by_channel = NULL;
-    if (all.by_knots != NULL) {
-        by_channel = malloc(sizeof(double) * (size_t)(2 * CHANNELS * n + 1));
-        if (by_channel == NULL) {
-            release(&reader);
-            return PyErr_NoMemory();
-        }
-    }
     int fits = 1;
+    for (Size k = 0; all.by_position != NULL && k < e; k++)
+        fits &= all.constant_channel[k] >= 0 && all.constant_channel[k] < CHANNELS;
+    Size *index = malloc(sizeof(Size) * (size_t)(n + 2 + e));
+    if (index == NULL) {
+        release(&reader);
+        return PyErr_NoMemory();
+    }
     Py_BEGIN_ALLOW_THREADS
-    bearings_all(&all, by_channel);
-    if (by_channel != NULL)
-        fits = gather(n, e, all.constant_row, all.constant_channel, all.constant_basis, by_channel,
-                      all.by_constants);
+    Size *entry = index + n + 2;
+    all.first = index;
+    all.entry = entry;
+    if (all.by_position != NULL)
+        fits = fits && by_row(n, e, all.constant_row, index, entry);
+    if (fits)
+        bearings_all(&all);
     Py_END_ALLOW_THREADS
-    free(by_channel);
+    free(index);
     release(&reader);
     if (!fits) {
         PyErr_SetString(PyExc_IndexError, "a row or channel is out of range");
