@@ -16,9 +16,14 @@ here, their meaning in Python. Only the limited API is used: one build serves ev
 #include <stdlib.h>
 #include <string.h>
 
+/* The same source for processors with wide registers and for those without, told apart by what they
+   can do and not by who made them (arch=haswell would be Intel's alone). */
 #if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__)
-/* The same source for processors with wide registers and for those without. */
-#define WIDE __attribute__((target_clones("arch=haswell", "default")))
+#if __GNUC__ >= 12
+#define WIDE __attribute__((target_clones("arch=x86-64-v3", "default")))
+#else
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#endif
 #else
 #define WIDE
 #endif
@@ -170,7 +175,7 @@ static int complete(Reader *reader, int all)
 
 /* row += by[0] B[0] + by[1] B[1] + ..., k rows of B, ldb apart; by's entries are step apart. Three
    at a time, so that the row is loaded and stored a third as often; transitions are mostly zeros. */
-static inline void add_rows(Size k, Size n, double sign, const double *by, Size step,
+INLINE void add_rows(Size k, Size n, double sign, const double *by, Size step,
                             const double *b, Size ldb, double *restrict row)
 {
     Size threes = k - k % 3;
@@ -206,7 +211,7 @@ static inline void add_rows(Size k, Size n, double sign, const double *by, Size 
 }
 
 /* out (m x n) += sign A (m x k) B (k x n); rows of A, B and out are lda, ldb, ldo apart. */
-static inline void add_product(Size m, Size k, Size n, double sign, const double *a, Size lda,
+INLINE void add_product(Size m, Size k, Size n, double sign, const double *a, Size lda,
                                const double *b, Size ldb, double *out, Size ldo)
 {
     for (Size i = 0; i < m; i++)
@@ -214,7 +219,7 @@ static inline void add_product(Size m, Size k, Size n, double sign, const double
 }
 
 /* out (m x n) += sign A' B, A (k x m). */
-static inline void add_transposed(Size m, Size k, Size n, double sign, const double *a, Size lda,
+INLINE void add_transposed(Size m, Size k, Size n, double sign, const double *a, Size lda,
                                   const double *b, Size ldb, double *out, Size ldo)
 {
     for (Size i = 0; i < m; i++)
@@ -222,7 +227,7 @@ static inline void add_transposed(Size m, Size k, Size n, double sign, const dou
 }
 
 /* Replace a symmetric matrix by the inverse of its lower Cholesky factor; 0 if it has none. */
-static inline int inverse_root(Size d, double *matrix, double *inverse)
+INLINE int inverse_root(Size d, double *matrix, double *inverse)
 {
     for (Size j = 0; j < d; j++) {
         double pivot = matrix[j * d + j];
@@ -264,7 +269,7 @@ typedef struct {
 
 /* share -= R' R in its lower triangle, R (d x c), rows of R w apart. Rows are filled up to whole
    registers: the upper triangle is written anew. */
-static inline void take_products(Size d, Size c, const double *rest, Size w, double *share)
+INLINE void take_products(Size d, Size c, const double *rest, Size w, double *share)
 {
     for (Size i = 0; i < c; i++) {
         Size end = (i + 4) & ~(Size)3;
@@ -589,7 +594,7 @@ static int by_row(Size n, Size e, const int64_t *row, Size *first, Size *order)
 }
 
 /* Lay out one row of a measurement over the columns of its knots. */
-static inline void lay_out(const Blocks *all, Size i, Size q, double root, Size d, Size knots,
+INLINE void lay_out(const Blocks *all, Size i, Size q, double root, Size d, Size knots,
                            double *row)
 {
     const double *by = all->by_path + (i * all->r + q) * 2 * all->path;
@@ -608,7 +613,7 @@ static inline void lay_out(const Blocks *all, Size i, Size q, double root, Size 
 }
 
 /* Add the products of a measurement's residual and its derivatives by the constants. */
-static inline void add_others(const Blocks *all, Size i, double root, double *others)
+INLINE void add_others(const Blocks *all, Size i, double root, double *others)
 {
     Size r = all->r, last = all->constants, c = last + 1;
     const double *residual = all->residual + i * r;
@@ -644,7 +649,7 @@ static inline void add_others(const Blocks *all, Size i, double root, double *ot
 }
 
 /* Add a measurement's rows to the sums of its interval, two at a time. */
-static inline void add_rows_of(const Blocks *all, Size i, double root, Size d, Size knots,
+INLINE void add_rows_of(const Blocks *all, Size i, double root, Size d, Size knots,
                                Held *held)
 {
     Size r = all->r;
@@ -731,7 +736,7 @@ INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Si
 }
 
 /* Write what was held of an interval, and hold nothing. */
-static inline void put(const Blocks *all, Size place, Size knots, Held *held)
+INLINE void put(const Blocks *all, Size place, Size knots, Held *held)
 {
     Size width = knots + all->constants + 1, size = 2 * all->order;
     double *total = all->knots + place * knots * width;
@@ -941,7 +946,7 @@ typedef struct {
     const Size *first, *entry;
 } Bearings;
 
-static inline double dot(const double *a, const double *b)
+INLINE double dot(const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
@@ -949,7 +954,7 @@ static inline double dot(const double *a, const double *b)
 static const double FACTORIAL[2 * MOST_ORDER] = {1.0, 1.0, 2.0, 6.0, 24.0, 120.0};
 
 /* factors/kinematics.py: interpolation_weights, of position and velocity. */
-static inline void weights(Size order, const double *hermite, double step, double offset,
+INLINE void weights(Size order, const double *hermite, double step, double offset,
                            double *position, double *velocity)
 {
     Size size = 2 * order;
@@ -1012,7 +1017,7 @@ typedef struct {
 } Sight;
 
 /* factors/light_time.py: sight. */
-static inline Sight look(const double *at, const double *velocity, const double *sensor,
+INLINE Sight look(const double *at, const double *velocity, const double *sensor,
                          double light_time, double spin)
 {
     Sight found;
@@ -1048,7 +1053,7 @@ typedef struct {
 #define LEAST_COSINE 1e-7
 
 /* factors/bearing.py: tangent_residual. */
-static inline Miss tangent_miss(const double *sight, double azimuth, double elevation,
+INLINE Miss tangent_miss(const double *sight, double azimuth, double elevation,
                                 const double *noise_elevation)
 {
     Miss found;
@@ -1112,7 +1117,7 @@ static inline Miss tangent_miss(const double *sight, double azimuth, double elev
 }
 
 /* factors/bearing.py: coordinate_residual. */
-static inline Miss coordinate_miss(const double *sight, double azimuth, double elevation)
+INLINE Miss coordinate_miss(const double *sight, double azimuth, double elevation)
 {
     Miss found;
     memset(&found, 0, sizeof found);
@@ -1138,7 +1143,7 @@ static inline Miss coordinate_miss(const double *sight, double azimuth, double e
 
 /* Derivatives of the whitened rows by all channels of error and by the position at emission;
    families/bearings.py: _derivatives. */
-static inline void derive(const Bearings *all, Size i, const Sight *seen, const Miss *miss,
+INLINE void derive(const Bearings *all, Size i, const Sight *seen, const Miss *miss,
                           double speed, double by_channel[2][CHANNELS], double by_position[2][3])
 {
     const double *axes = all->axes + 9 * i, *errors = all->errors + CHANNELS * i;
