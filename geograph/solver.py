@@ -112,15 +112,25 @@ def solve(
             if not cost <= system.cost + 1e-9 * max(1.0, system.cost):
                 candidate, cost = values, system.cost
             return Solution(candidate, Status.CONVERGED, cost, iteration + 1, elimination)
-        moved = problem.linearise(candidate) if damping == 0.0 else None
-        cost = problem.cost(candidate) if moved is None else moved.cost
-        gain = (system.cost - cost) / max(step.decrease, 1e-300) if np.isfinite(cost) else -1.0
+        before, whole = system.cost, damping == 0.0
+        if whole:
+            # A system is larger than all else that is held: the old one goes before the next one is
+            # made, and is made again where its step was no good.
+            del system, elimination
+            system = problem.linearise(candidate)
+            cost = system.cost
+        else:
+            cost = problem.cost(candidate)
+        gain = (before - cost) / max(step.decrease, 1e-300) if np.isfinite(cost) else -1.0
         if gain > 1e-3:
             values = candidate
-            system = problem.linearise(candidate) if moved is None else moved
+            if not whole:
+                system = problem.linearise(values)
             damping = _relaxed(damping, gain)
             growth = 2.0
             continue
+        if whole:
+            system = problem.linearise(values)
         if small:
             return _stuck(values, system, iteration + 1, tolerance=tolerance)
         damping = damping * growth if damping > 0.0 else _FIRST_DAMPING

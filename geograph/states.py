@@ -347,7 +347,7 @@ class SensorErrorTerms:
             row, channel = np.nonzero(columns[sensor] >= 0)
             column = columns[sensor[row], channel]
             constants.append((row, channel, column, basis[row] * states.sigma[column]))
-        self.constants = _joined(constants) if constants else _NONE
+        self.constants = _by_row(_joined(constants)) if constants else _NONE
         if not states.chains:
             self.chains, self._walks, self._term = _NONE, 0, _NONE.row
             return
@@ -411,6 +411,21 @@ class SensorErrorTerms:
             after[own] = weights[entry, derivative, 1, block]
         return ChainShare(interval, before, after)
 
+    def constant_errors(self, constants: NDArray[np.float64], channel: int) -> NDArray[np.float64]:
+        """Return what the constant states add to one channel, shape (n,), SI units.
+
+        Parameters
+        ----------
+        constants
+            Shape (s,): scaled values of the constant states.
+        channel
+            Which one.
+        """
+        entries = self.constants
+        own = np.flatnonzero(entries.channel == channel)
+        value = entries.basis[own] * constants[entries.column[own]]
+        return np.asarray(np.bincount(entries.row[own], value, minlength=self.count))
+
     def errors(
         self,
         constants: NDArray[np.float64],
@@ -444,6 +459,12 @@ class SensorErrorTerms:
             )
             np.add.at(value, (entries.row, entries.channel), read * entries.basis)
         return value
+
+
+def _by_row(entries: _Entries) -> _Entries:
+    """Return entries in the order of the measurements, as they are read."""
+    order = np.argsort(entries.row, kind="stable")
+    return _Entries(*(column[order] for column in vars(entries).values()))
 
 
 def _joined(parts: Sequence[tuple[NDArray[Any], ...]]) -> _Entries:

@@ -238,24 +238,37 @@ def chain_marginals(
     inverse, _ = lapack.dtrtri(final_root, lower=1)
     by_knot, by_constants = inverse[:d, :d], inverse[d:, d:]
     constants = by_constants.T @ by_constants
+    last, lean = by_knot.T @ by_knot, -by_knot.T @ final_root[d:, :d].T
+    if compiled is not None:
+        return _compiled_marginals(back, spread, constants, last, lean)
     known = np.empty((count + 1, d, d))
     slope = np.empty((count + 1, d, constants.shape[0]))
-    known[count] = by_knot.T @ by_knot
-    slope[count] = -by_knot.T @ final_root[d:, :d].T
-    if count and compiled is not None:
-        width = back.shape[2]
-        compiled.marginals(count, d, width - d, flat(back), flat(spread), known, slope)
-    elif count:
-        scatter = spread @ np.swapaxes(spread, 1, 2)
-        for k in range(count - 1, -1, -1):
-            by_next = back[k, :, :d]
-            known[k] = by_next @ known[k + 1] @ by_next.T + scatter[k]
-            slope[k] = by_next @ slope[k + 1] + back[k, :, d:-1]
+    known[count], slope[count] = last, lean
+    scatter = spread @ np.swapaxes(spread, 1, 2)
+    for k in range(count - 1, -1, -1):
+        by_next = back[k, :, :d]
+        known[k] = by_next @ known[k + 1] @ by_next.T + scatter[k]
+        slope[k] = by_next @ slope[k + 1] + back[k, :, d:-1]
     cross = slope @ constants
     knots = known + cross @ np.swapaxes(slope, 1, 2)
     knots = 0.5 * (knots + np.swapaxes(knots, 1, 2))
-    neighbours = np.empty((count, d, d))
-    if count:
-        by_next, by_known = back[:, :, :d], back[:, :, d:-1]
-        neighbours = by_next @ knots[1:] + by_known @ np.swapaxes(cross[1:], 1, 2)
+    by_next, by_known = back[:, :, :d], back[:, :, d:-1]
+    neighbours = by_next @ knots[1:] + by_known @ np.swapaxes(cross[1:], 1, 2)
+    return Marginals(knots, neighbours, cross, constants)
+
+
+def _compiled_marginals(
+    back: NDArray[np.float64],
+    spread: NDArray[np.float64],
+    constants: NDArray[np.float64],
+    known: NDArray[np.float64],
+    slope: NDArray[np.float64],
+) -> Marginals:
+    """Return what :func:`chain_marginals` does, from compiled code; the last two are of a knot."""
+    count, d, _ = spread.shape
+    size = constants.shape[0]
+    knots, neighbours = np.empty((count + 1, d, d)), np.empty((count, d, d))
+    cross = np.empty((count + 1, d, size))
+    arrays = map(flat, (back, spread, constants, known, slope))
+    compiled.marginals(count, d, size, *arrays, knots, neighbours, cross)
     return Marginals(knots, neighbours, cross, constants)

@@ -102,19 +102,22 @@ def test_step_decrease_and_covariances(seed, shape, damping, undriven):
 def test_the_system_is_left_as_it_was():
     """A damped attempt after an undamped one starts from the same numbers."""
     system = random_system(np.random.default_rng(0), 4, 3, 2)
-    parts = lambda: (vars(system) | vars(system.blocks)).items()  # noqa: E731
-    before = {name: np.copy(value) for name, value in parts() if name != "blocks"}
+    parts = {**vars(system), **vars(system.blocks)}
+    del parts["blocks"]
+    before = {name: np.copy(value) for name, value in parts.items()}
     Elimination(system, 5.0).solve()
     Elimination(system).marginals()
-    for name, value in parts():
-        if name == "blocks":
-            continue
+    for name, value in parts.items():
         np.testing.assert_array_equal(value, before[name])
 
 
 def test_damping_takes_out_what_is_not_determined():
     system = random_system(np.random.default_rng(1), 3, 2, 1)
-    system = replace(system, blocks=Sums(*map(np.zeros_like, vars(system.blocks).values())), prior_information=np.zeros(2))
+    system = replace(
+        system,
+        blocks=Sums(*map(np.zeros_like, vars(system.blocks).values())),
+        prior_information=np.zeros(2),
+    )
     with pytest.raises(NotPositiveDefiniteError):
         Elimination(system)
     assert np.isfinite(Elimination(system, 1e-3).solve().knots).all()

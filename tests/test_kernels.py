@@ -191,15 +191,17 @@ def test_wrong_arrays_are_refused():
         compiled.sweep(2, 3, 2, 0, 0.0, knot.astype(np.float32), *given_[1:])
     with pytest.raises((ValueError, BufferError)):
         compiled.sweep(2, 3, 2, 0, 0.0, np.asfortranarray(knot), *given_[1:])
+    none, one = np.empty(0), np.ones(1)
+    held = [none, none, none, one.copy(), none, one.copy(), none, none]
+    compiled.marginals(0, 1, 0, *held)
     with pytest.raises(TypeError, match="an array is missing"):
-        compiled.marginals(0, 1, 1, None, np.empty(0), np.ones(1), np.empty(0))
+        compiled.marginals(0, 1, 0, None, *held[1:])
     with pytest.raises(TypeError, match="too many arguments"):
-        compiled.marginals(0, 1, 1, np.empty(0), np.empty(0), np.ones(1), np.empty(0), 3)
+        compiled.marginals(0, 1, 0, *held, 3)
     with pytest.raises(ValueError, match="at least 0"):
-        compiled.marginals(-1, 1, 1, None, None, None, None)
+        compiled.marginals(-1, 1, 1, *[None] * 8)
     with pytest.raises(ValueError, match="1 to 3 blocks"):
         compiled.kinematics(1, 4, *[None] * 8)
-    none = np.empty(0)
     total, last, scale, one = np.zeros((1, 6, 7)), np.zeros((1, 1, 1)), np.ones(3), np.ones((1, 1))
     index = np.zeros(0, dtype=np.int64)
 

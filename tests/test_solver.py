@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from geograph.blocks import Sums
 from geograph.eliminate import LinearSystem
 from geograph.families import Values
 from geograph.solver import Status, solve
@@ -26,7 +27,7 @@ class Curve:
         self.linearised += 1
         with np.errstate(all="ignore"):
             rows = np.column_stack([self.jacobian(values.path[0]), self.residual(values.path[0])])
-            block = (rows.T @ rows)[None]
+            block = Sums.of((rows.T @ rows)[None], rows.shape[1] - 1)
         size = values.path.shape[1]
         return LinearSystem(
             block, np.zeros((0, size, size)), np.zeros((0, size, size)), np.zeros((0, size)),

@@ -184,7 +184,7 @@ class BearingFamily(SensorFamily):
         received = self.bearings.time_s - errors[:, CLOCK]
         poses = self._posed(received)
         position = poses.position_m + errors[:, POSITION : POSITION + 3]
-        speed, enough = self._speed(errors)
+        speed, enough = self._speed(float(errors[0, SPEED]) if len(self) else 0.0)
         for _ in range(_LIGHT_TIME_ROUNDS):
             place = self._locate(path, received - self._light_time)
             at, velocity = state.position_velocity(place)
@@ -215,9 +215,9 @@ class BearingFamily(SensorFamily):
                 self._poses = poses
         return poses
 
-    def _speed(self, errors: NDArray[np.float64]) -> tuple[float, float]:
+    def _speed(self, error_m_s: float) -> tuple[float, float]:
         """Return the speed of propagation, m/s, and how exact light times are found, seconds."""
-        speed = self.speed_m_s + float(errors[0, SPEED]) if len(self) else self.speed_m_s
+        speed = self.speed_m_s + error_m_s
         return speed, _LIGHT_TIME_TOLERANCE_S if speed > _SLOW_M_S else _SLOW_TOLERANCE_S
 
     def _locate(self, path: Path, time_s: NDArray[np.float64]) -> Place:
@@ -357,31 +357,32 @@ class BearingFamily(SensorFamily):
         That of paths whose weights depend on the time alone, and of errors without random walks.
         """
         count, order = len(self), path.order
-        errors = self.terms.errors(values.constants)
-        received = self.bearings.time_s - errors[:, CLOCK]
+        entries, constants = self.terms.constants, values.constants
+        received, size = self.bearings.time_s, entries.row.size
+        if self._clocked:
+            received = received - self.terms.constant_errors(constants, CLOCK)
+        # Of the recording's propagation, and the same for all of its measurements.
+        excess = self.terms.constant_errors(constants, SPEED)[:1] if self._fast else np.zeros(1)
         poses = self._posed(received)
-        entries = self.terms.constants
-        size = entries.row.size if jacobian else 0
         residual, interval = np.empty((count, 2)), np.empty(count, dtype=np.int64)
         light_time, emitted = np.array(self._light_time, dtype=np.float64), np.empty(count)
-        by_constants = np.empty((size, 2))
+        by_constants = np.empty((size if jacobian else 0, 2))
         by = None
         if jacobian:
             by = ByPosition(np.empty((count, 2 * order)), np.empty((count, 2, 3)))
         compiled.bearings(
-            *(count, path.knots_s.size, order, size, _LIGHT_TIME_ROUNDS),
+            *(count, path.knots_s.size, order, size, constants.size, _LIGHT_TIME_ROUNDS),
             *(int(self._clocked), int(self._fast), self.speed_m_s, self.spin_rad_s),
-            self._speed(errors)[1],
+            self._speed(float(excess.sum()))[1],
             *map(flat, (path.knots_s, state.basis, hermite_coefficients(order), received)),
             *map(flat, (poses.position_m, poses.axes, poses.velocity_m_s, poses.axes_rate)),
-            errors,
             *map(flat, (self.bearings.azimuth_rad, self.bearings.elevation_rad)),
             flat(self._noise_elevation),
             None if self._uniform else flat(self._tangent),
             *(self._white, light_time, residual, interval, emitted),
             *((by.weights, by.by_position) if by is not None else (None, None)),
-            *(indices(entries.row[:size]), indices(entries.channel[:size])),
-            *(flat(entries.basis[:size]), by_constants),
+            *map(indices, (entries.row, entries.channel, entries.column)),
+            *(flat(entries.basis), flat(constants), by_constants),
         )
         self._light_time, self._emitted = light_time, emitted
         none, nowhere = np.empty(0), np.empty(0, dtype=np.int64)

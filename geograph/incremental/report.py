@@ -90,9 +90,7 @@ class HeldFactorisation(Factorisation):
         held.chain = chain
         return held
 
-    def _noise(
-        self, knots: NDArray[np.float64], constants: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _decrease(self, knots: NDArray[np.float64], constants: NDArray[np.float64]) -> float:
         del knots, constants
         raise TypeError("a held factorisation gives covariances alone; expected no step to solve")
 

@@ -35,9 +35,9 @@ def _load() -> ModuleType | None:
 compiled: Any = _load()
 """The compiled module, or None."""
 
-# An array of this size is made and let go, untouched: the C library of Linux then keeps the pages of
-# smaller arrays for the next ones (its mmap threshold is dynamic, mallopt(3)), where it would give
-# them back and have each zeroed again. A third of a linearisation was spent there.
+# An array of this size is made and let go, untouched: the C library of Linux then keeps the pages
+# of smaller arrays for the next ones (its mmap threshold is dynamic, mallopt(3)), where it would
+# give them back and have each zeroed again. A third of a linearisation was spent there.
 _KEPT_BYTES = 31 * 2**20
 np.empty(_KEPT_BYTES, dtype=np.uint8)
 

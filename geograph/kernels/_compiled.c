@@ -285,10 +285,10 @@ static inline void mirror(Size size, double *matrix)
 }
 
 /* One interval: rows of knot k (d x w), "before", become those of knot k + 1, "after". */
-INLINE int sweep_step(Size d, Size c, const Sweep *all, Size k, const double *before,
-                      double *restrict after, double *share, double *work)
+INLINE int sweep_step(const Sweep *all, Size k, const double *before, double *restrict after,
+                      double *share, double *work)
 {
-    Size w = d + c, full = 2 * d + c;
+    Size d = all->d, c = all->c, w = d + c, full = 2 * d + c;
     const double *block = all->blocks + k * 2 * d * full;
     const double *a = all->inverse_transition + k * d * d;
     const double *root = all->noise_root + k * d * d;
@@ -381,9 +381,9 @@ INLINE int sweep_step(Size d, Size c, const Sweep *all, Size k, const double *be
     return 1;
 }
 
-INLINE int sweep_chain(Size d, const Sweep *all, double *work)
+WIDE static int sweep_all(const Sweep *all, double *work)
 {
-    Size c = all->c, w = d + c;
+    Size d = all->d, c = all->c, w = d + c;
     const double *knot = all->knot;
     double *spare = work + 6 * d * d + 5 * d * w;
     for (Size k = 0; k < all->n; k++) {
@@ -394,7 +394,7 @@ INLINE int sweep_chain(Size d, const Sweep *all, double *work)
             share = all->shares;
         } else
             memcpy(share, all->others + k * c * c, sizeof(double) * (size_t)(c * c));
-        if (!sweep_step(d, c, all, k, knot, after, share, work))
+        if (!sweep_step(all, k, knot, after, share, work))
             return 0;
         if (!all->ends)
             mirror(c, share);
@@ -403,19 +403,6 @@ INLINE int sweep_chain(Size d, const Sweep *all, double *work)
     if (all->ends)
         mirror(c, all->shares);
     return 1;
-}
-
-/* Loops of known length are unrolled for the usual sizes of a knot. */
-WIDE static int sweep_all(const Sweep *all, double *work)
-{
-    switch (all->d) {
-    case 6:
-        return sweep_chain(6, all, work);
-    case 9:
-        return sweep_chain(9, all, work);
-    default:
-        return sweep_chain(all->d, all, work);
-    }
 }
 
 static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
@@ -466,27 +453,68 @@ static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
     return PyBool_FromLong(good);
 }
 
-/* known[k] = B known[k+1] B' + spread spread', slope[k] = B slope[k+1] + C, from the last on. */
-WIDE static void marginals_all(Size n, Size d, Size c, const double *back, const double *spread,
-                               double *known, double *slope, double *work)
+/* Covariances from the last knot on. With the constants known that of a knot is
+   V[k] = B V[k+1] B' + spread spread', and its mean moves with them by G[k] = B G[k+1] + C; S is the
+   constants' own. Only the sums are kept:
+
+       knots = V + G S G',  cross = G S,  neighbours = B knots[k+1] + C cross[k+1]'. */
+typedef struct {
+    Size n, d, s;
+    const double *back, *spread, *constants;
+    double *known, *slope; /* of one knot: of the last on entry, of the first in the end */
+    double *knots, *neighbours, *cross;
+} Covariances;
+
+/* out (columns x rows) is the transpose of a (rows x columns), whose rows are lda apart. */
+INLINE void transpose(Size rows, Size columns, const double *a, Size lda, double *restrict out)
 {
-    Size w = d + c, s = c - 1;
-    for (Size k = n - 1; k >= 0; k--) {
-        const double *by = back + k * d * w, *root = spread + k * d * d;
-        const double *next = known + (k + 1) * d * d;
-        double *own = known + k * d * d, *lean = slope + k * d * s;
+    for (Size i = 0; i < rows; i++)
+        for (Size j = 0; j < columns; j++)
+            out[j * rows + i] = a[i * lda + j];
+}
+
+/* knots and cross of one knot; "turned" has room for s x d. */
+INLINE void put_covariance(const Covariances *all, Size k, double *turned)
+{
+    Size d = all->d, s = all->s;
+    double *cross = all->cross + k * d * s, *own = all->knots + k * d * d;
+    memset(cross, 0, sizeof(double) * (size_t)(d * s));
+    add_product(d, s, s, 1.0, all->slope, s, all->constants, s, cross, s);
+    memcpy(own, all->known, sizeof(double) * (size_t)(d * d));
+    transpose(d, s, all->slope, s, turned);
+    add_product(d, s, d, 1.0, cross, s, turned, d, own, d);
+    for (Size i = 0; i < d; i++)
+        for (Size j = 0; j < i; j++)
+            own[i * d + j] = own[j * d + i] = 0.5 * (own[i * d + j] + own[j * d + i]);
+}
+
+WIDE static void marginals_all(const Covariances *all, double *work)
+{
+    Size d = all->d, s = all->s, w = d + s + 1;
+    double *lean = work + d * d, *turned = lean + d * s;
+    put_covariance(all, all->n, turned);
+    for (Size k = all->n - 1; k >= 0; k--) {
+        const double *by = all->back + k * d * w, *root = all->spread + k * d * d;
+        double *beside = all->neighbours + k * d * d;
+        const double *next = all->cross + (k + 1) * d * s;
+        memset(beside, 0, sizeof(double) * (size_t)(d * d));
+        add_product(d, d, d, 1.0, by, w, all->knots + (k + 1) * d * d, d, beside, d);
+        transpose(d, s, next, s, turned);
+        add_product(d, s, d, 1.0, by + d, w, turned, d, beside, d);
         memset(work, 0, sizeof(double) * (size_t)(d * d));
-        add_product(d, d, d, 1.0, by, w, next, d, work, d);
+        add_product(d, d, d, 1.0, by, w, all->known, d, work, d);
         for (Size i = 0; i < d; i++)
             for (Size j = 0; j <= i; j++) {
                 double value = 0.0;
                 for (Size m = 0; m < d; m++)
                     value += work[i * d + m] * by[j * w + m] + root[i * d + m] * root[j * d + m];
-                own[i * d + j] = own[j * d + i] = value;
+                all->known[i * d + j] = all->known[j * d + i] = value;
             }
         for (Size i = 0; i < d; i++)
             memcpy(lean + i * s, by + i * w + d, sizeof(double) * (size_t)s);
-        add_product(d, d, s, 1.0, by, w, slope + (k + 1) * d * s, s, lean, s);
+        add_product(d, d, s, 1.0, by, w, all->slope, s, lean, s);
+        memcpy(all->slope, lean, sizeof(double) * (size_t)(d * s));
+        put_covariance(all, k, turned);
     }
 }
 
@@ -494,23 +522,29 @@ static PyObject *marginals(PyObject *self, PyObject *const *arguments, Size give
 {
     (void)self;
     Reader reader;
+    Covariances all;
     start(&reader, arguments, given);
-    Size n = whole(&reader), d = whole(&reader), c = whole(&reader);
-    const double *back = reals(&reader, n * d * (d + c));
-    const double *spread = reals(&reader, n * d * d);
-    double *known = results(&reader, (n + 1) * d * d);
-    double *slope = results(&reader, (n + 1) * d * (c - 1));
-    if (!complete(&reader, back && spread && known && slope && c > 0)) {
+    Size n = all.n = whole(&reader), d = all.d = whole(&reader), s = all.s = whole(&reader);
+    all.back = reals(&reader, n * d * (d + s + 1));
+    all.spread = reals(&reader, n * d * d);
+    all.constants = reals(&reader, s * s);
+    all.known = results(&reader, d * d);
+    all.slope = results(&reader, d * s);
+    all.knots = results(&reader, (n + 1) * d * d);
+    all.neighbours = results(&reader, n * d * d);
+    all.cross = results(&reader, (n + 1) * d * s);
+    if (!complete(&reader, all.back && all.spread && all.constants && all.known && all.slope &&
+                               all.knots && all.neighbours && all.cross)) {
         release(&reader);
         return NULL;
     }
-    double *work = malloc(sizeof(double) * (size_t)(d * d + 1));
+    double *work = malloc(sizeof(double) * (size_t)(d * (d + 2 * s) + 1));
     if (work == NULL) {
         release(&reader);
         return PyErr_NoMemory();
     }
     Py_BEGIN_ALLOW_THREADS
-    marginals_all(n, d, c, back, spread, known, slope, work);
+    marginals_all(&all, work);
     Py_END_ALLOW_THREADS
     free(work);
     release(&reader);
@@ -804,16 +838,10 @@ INLINE int add_all_of(Size order, const Blocks *all, Held *held)
 
 WIDE static int add_all(const Blocks *all, Held *held)
 {
-    switch (all->order) {
-    case 0:
+    if (all->order == 0)
         return add_all_of(0, all, held);
-    case 1:
-        return add_all_of(1, all, held);
-    case 2:
-        return add_all_of(2, all, held);
-    default:
-        return add_all_of(3, all, held);
-    }
+    /* Loops of known length are unrolled for the usual motion. */
+    return all->order == 3 ? add_all_of(3, all, held) : add_all_of(all->order, all, held);
 }
 
 /* Make room for the sums of an interval; NULL without memory. */
@@ -933,16 +961,16 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
 enum { AZIMUTH = 0, ELEVATION = 1, CLOCK = 2, POSITION = 3, VELOCITY = 6, SPEED = 10, CHANNELS = 14 };
 
 typedef struct {
-    Size n, knots, order, e;
+    Size n, knots, order, e, s;
     const double *knots_s, *basis, *hermite;
-    const double *received_s, *sensor_m, *axes, *sensor_velocity, *axes_rate, *errors;
+    const double *received_s, *sensor_m, *axes, *sensor_velocity, *axes_rate;
     const double *azimuth, *elevation, *noise_elevation, *tangent, *white;
     double speed_m_s, spin_rad_s, enough_s;
     int clocked, fast, rounds;
     double *light_time_s, *residual, *time_s, *weights, *by_position, *by_constants;
     int64_t *interval;
-    const int64_t *constant_row, *constant_channel;
-    const double *constant_basis;
+    const int64_t *constant_row, *constant_channel, *constant_column;
+    const double *constant_basis, *constants;
     const Size *first, *entry;
 } Bearings;
 
@@ -1143,10 +1171,11 @@ INLINE Miss coordinate_miss(const double *sight, double azimuth, double elevatio
 
 /* Derivatives of the whitened rows by all channels of error and by the position at emission;
    families/bearings.py: _derivatives. */
-INLINE void derive(const Bearings *all, Size i, const Sight *seen, const Miss *miss,
-                          double speed, double by_channel[2][CHANNELS], double by_position[2][3])
+INLINE void derive(const Bearings *all, Size i, const double *errors, const Sight *seen,
+                   const Miss *miss, double speed, double by_channel[2][CHANNELS],
+                   double by_position[2][3])
 {
-    const double *axes = all->axes + 9 * i, *errors = all->errors + CHANNELS * i;
+    const double *axes = all->axes + 9 * i;
     double unit[3], rate = speed;
     for (int j = 0; j < 3; j++)
         unit[j] = seen->line[j] / seen->distance;
@@ -1194,11 +1223,14 @@ INLINE void derive(const Bearings *all, Size i, const Sight *seen, const Miss *m
 INLINE void bearings_of(Size order, const Bearings *all)
 {
     Size size = 2 * order, guess = 0;
-    /* Of the recording's, and the same for all of its measurements. */
-    double speed = all->speed_m_s + (all->n ? all->errors[SPEED] : 0.0);
     for (Size i = 0; i < all->n; i++) {
-        const double *errors = all->errors + CHANNELS * i;
-        double sensor[3], place[2 * MOST_ORDER], rates[2 * MOST_ORDER];
+        double errors[CHANNELS] = {0.0};
+        for (Size k = all->first[i]; k < all->first[i + 1]; k++) {
+            Size entry = all->entry[k];
+            errors[all->constant_channel[entry]] +=
+                all->constant_basis[entry] * all->constants[all->constant_column[entry]];
+        }
+        double speed = all->speed_m_s + errors[SPEED], sensor[3], place[2 * MOST_ORDER], rates[2 * MOST_ORDER];
         for (int j = 0; j < 3; j++)
             sensor[j] = all->sensor_m[3 * i + j] + errors[POSITION + j];
         double light_time = all->light_time_s[i], emitted = 0.0;
@@ -1249,7 +1281,7 @@ INLINE void bearings_of(Size order, const Bearings *all)
         if (all->by_position == NULL)
             continue;
         double channel[2][CHANNELS];
-        derive(all, i, &seen, &miss, speed, channel, (double(*)[3])(all->by_position + 6 * i));
+        derive(all, i, errors, &seen, &miss, speed, channel, (double(*)[3])(all->by_position + 6 * i));
         memcpy(all->weights + i * size, place, sizeof(double) * (size_t)size);
         for (Size k = all->first[i]; k < all->first[i + 1]; k++) {
             Size entry = all->entry[k], by = (Size)all->constant_channel[entry];
@@ -1261,16 +1293,7 @@ INLINE void bearings_of(Size order, const Bearings *all)
 
 WIDE static void bearings_all(const Bearings *all)
 {
-    switch (all->order) {
-    case 1:
-        bearings_of(1, all);
-        break;
-    case 2:
-        bearings_of(2, all);
-        break;
-    default:
-        bearings_of(3, all);
-    }
+    bearings_of(all->order, all);
 }
 
 static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given)
@@ -1282,6 +1305,7 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     Size n = all.n = whole(&reader), knots = all.knots = whole(&reader);
     Size order = all.order = whole(&reader);
     Size e = all.e = whole(&reader);
+    all.s = whole(&reader);
     all.rounds = (int)whole(&reader);
     all.clocked = (int)whole(&reader);
     all.fast = (int)whole(&reader);
@@ -1300,7 +1324,6 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.axes = reals(&reader, 9 * n);
     all.sensor_velocity = reals(&reader, 3 * n);
     all.axes_rate = reals(&reader, 9 * n);
-    all.errors = reals(&reader, CHANNELS * n);
     all.azimuth = reals(&reader, n);
     all.elevation = reals(&reader, n);
     all.noise_elevation = reals(&reader, n);
@@ -1314,21 +1337,25 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.by_position = results(&reader, n * 2 * 3);
     all.constant_row = integers(&reader, e);
     all.constant_channel = integers(&reader, e);
+    all.constant_column = integers(&reader, e);
     all.constant_basis = reals(&reader, e);
-    all.by_constants = results(&reader, 2 * e);
+    all.constants = reals(&reader, all.s);
+    all.by_constants = results(&reader, all.by_position == NULL ? 0 : 2 * e);
     int there = all.knots_s && all.basis && all.hermite && all.received_s && all.sensor_m &&
-                all.axes && all.sensor_velocity && all.errors && all.azimuth && all.elevation &&
-                all.white && all.light_time_s && all.residual && all.interval && all.time_s;
+                all.axes && all.sensor_velocity && all.azimuth && all.elevation &&
+                all.white && all.light_time_s && all.residual && all.interval && all.time_s &&
+                all.constant_row && all.constant_channel && all.constant_column &&
+                all.constant_basis && all.constants;
     if (all.by_position != NULL)
-        there = there && all.weights && all.constant_row && all.constant_channel &&
-                all.constant_basis && all.by_constants;
+        there = there && all.weights && all.by_constants;
     if (!complete(&reader, there)) {
         release(&reader);
         return NULL;
     }
     int fits = 1;
-    for (Size k = 0; all.by_position != NULL && k < e; k++)
-        fits &= all.constant_channel[k] >= 0 && all.constant_channel[k] < CHANNELS;
+    for (Size k = 0; k < e; k++)
+        fits &= all.constant_channel[k] >= 0 && all.constant_channel[k] < CHANNELS &&
+                all.constant_column[k] >= 0 && all.constant_column[k] < all.s;
     Size *index = malloc(sizeof(Size) * (size_t)(n + 2 + e));
     if (index == NULL) {
         release(&reader);
@@ -1338,8 +1365,7 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     Size *entry = index + n + 2;
     all.first = index;
     all.entry = entry;
-    if (all.by_position != NULL)
-        fits = fits && by_row(n, e, all.constant_row, index, entry);
+    fits = fits && by_row(n, e, all.constant_row, index, entry);
     if (fits)
         bearings_all(&all);
     Py_END_ALLOW_THREADS
@@ -1436,7 +1462,7 @@ static PyObject *kinematics(PyObject *self, PyObject *const *arguments, Size giv
 static PyMethodDef methods[] = {
     {"sweep", (PyCFunction)(void (*)(void))sweep, METH_FASTCALL, "geograph.sweep.sweep"},
     {"marginals", (PyCFunction)(void (*)(void))marginals, METH_FASTCALL,
-     "The recursion of geograph.sweep.chain_marginals"},
+     "geograph.sweep.chain_marginals"},
     {"substitute", (PyCFunction)(void (*)(void))substitute, METH_FASTCALL,
      "The back substitution of geograph.eliminate.Factorisation.solve"},
     {"add_blocks", (PyCFunction)(void (*)(void))add_blocks, METH_FASTCALL,
