@@ -108,6 +108,7 @@ class BearingFamily(SensorFamily):
         self._clocked = CLOCK in states.channels
         self._fast = SPEED in states.channels
         self._turned = MISALIGNMENT in states.channels
+        self._walks_elsewhere = bool((self.terms.chains.channel > ELEVATION).any())
         self._stars = geometry.stars(bearings.sensor, bearings.time_s)
         self._light_time = np.zeros(len(bearings))
         self._walk_time = bearings.time_s.copy()
@@ -306,7 +307,7 @@ class BearingFamily(SensorFamily):
             compiled is not None
             and isinstance(state, KinematicPathState)
             and path.knots_s.size > 1
-            and not (self._turned or self._stars is not None or self.terms.chains.row.size)
+            and not (self._turned or self._stars is not None or self._walks_elsewhere)
         ):
             return self._compiled(path, state, values, jacobian=jacobian)
         found, place, poses, errors = self._find(path, state, values)
@@ -354,7 +355,7 @@ class BearingFamily(SensorFamily):
     ) -> Evaluation:
         """Do what :meth:`evaluate` does, in compiled code.
 
-        That of paths whose weights depend on the time alone, and of errors without random walks.
+        That of paths whose weights depend on the time alone, and of random walks of directions.
         """
         count, order = len(self), path.order
         entries, constants = self.terms.constants, values.constants
@@ -363,7 +364,9 @@ class BearingFamily(SensorFamily):
             received = received - self.terms.constant_errors(constants, CLOCK)
         # Of the recording's propagation, and the same for all of its measurements.
         excess = self.terms.constant_errors(constants, SPEED)[:1] if self._fast else np.zeros(1)
-        poses = self._posed(received)
+        poses, walks = self._posed(received), self.terms.chains
+        before, after = np.empty(walks.row.size), np.empty(walks.row.size)
+        by_walks = np.empty((walks.row.size if jacobian else 0, 2))
         residual, interval = np.empty((count, 2)), np.empty(count, dtype=np.int64)
         light_time, emitted = np.array(self._light_time, dtype=np.float64), np.empty(count)
         by_constants = np.empty((size if jacobian else 0, 2))
@@ -371,7 +374,8 @@ class BearingFamily(SensorFamily):
         if jacobian:
             by = ByPosition(np.empty((count, 2 * order)), np.empty((count, 2, 3)))
         compiled.bearings(
-            *(count, path.knots_s.size, order, size, constants.size, _LIGHT_TIME_ROUNDS),
+            *(count, path.knots_s.size, order, size, constants.size),
+            *(walks.row.size, values.walks.shape[1], _LIGHT_TIME_ROUNDS),
             *(int(self._clocked), int(self._fast), self.speed_m_s, self.spin_rad_s),
             self._speed(float(excess.sum()))[1],
             *map(flat, (path.knots_s, state.basis, hermite_coefficients(order), received)),
@@ -383,9 +387,11 @@ class BearingFamily(SensorFamily):
             *((by.weights, by.by_position) if by is not None else (None, None)),
             *map(indices, (entries.row, entries.channel, entries.column)),
             *(flat(entries.basis), flat(constants), by_constants),
+            *map(indices, (walks.row, walks.channel, walks.column)),
+            *map(flat, (walks.basis, self._walk_time, values.walks)),
+            *(before, after, by_walks),
         )
         self._light_time, self._emitted = light_time, emitted
-        none, nowhere = np.empty(0), np.empty(0, dtype=np.int64)
         return Evaluation(
             residual,
             interval,
@@ -393,11 +399,11 @@ class BearingFamily(SensorFamily):
             entries.row,
             entries.column,
             by_constants,
-            nowhere,
-            nowhere,
-            none,
-            none,
-            np.zeros((0, 2)),
+            walks.row,
+            walks.column,
+            before,
+            after,
+            by_walks,
         )
 
     def _derivatives(

@@ -43,7 +43,7 @@ typedef struct {
     int held;
 } Array;
 
-#define MOST_ARRAYS 32
+#define MOST_ARRAYS 40
 #define MOST_ORDER 3
 
 typedef struct {
@@ -725,9 +725,10 @@ INLINE void add_rows_of(const Blocks *all, Size i, double root, Size d, Size kno
 /* The same where the rows are weights of the blocks times a derivative by the position: six moments
    of each pair of blocks, of which the products are made once an interval. Columns are those of
    one axis after another. */
-INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Size knots, Held *held)
+INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Size knots, Held *held,
+                           double *total)
 {
-    Size r = all->r;
+    Size r = all->r, d = knots / 2, width = knots + all->constants + 1;
     const double *w = all->weights + i * size, *by = all->by_path + i * r * 3;
     double square = root * root, moment[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
     for (Size q = 0; q < r; q++) {
@@ -767,6 +768,46 @@ INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Si
                 out[j * size + b] += value * w[b];
         }
     }
+    /* Walks have two columns each, at the knot before and at the one after. */
+    for (Size k = all->first_walk[i]; k < all->first_walk[i + 1]; k++) {
+        Size entry = all->entry_walk[k], walk = (Size)all->walk_column[entry];
+        const double *own = all->by_walks + entry * r;
+        double along[3] = {0.0, 0.0, 0.0};
+        for (Size q = 0; q < r; q++)
+            for (Size j = 0; j < 3; j++)
+                along[j] += by[3 * q + j] * own[q];
+        for (Size half = 0; half < 2; half++) {
+            double share = square * (half ? all->after[entry] : all->before[entry]);
+            Size column = all->constants + 1 + half * all->walks + walk;
+            double *restrict out = held->cross + column * knots;
+            held->touched[column] = 1;
+            for (Size j = 0; j < 3; j++) {
+                double value = share * along[j];
+                for (Size b = 0; b < size; b++)
+                    out[j * size + b] += value * w[b];
+            }
+            double *row = total + (half * d + all->path + walk) * width;
+            for (Size m = all->first_walk[i]; m < all->first_walk[i + 1]; m++) {
+                Size other = all->entry_walk[m], beside = all->path + (Size)all->walk_column[other];
+                double product = 0.0;
+                for (Size q = 0; q < r; q++)
+                    product += own[q] * all->by_walks[other * r + q];
+                row[beside] += share * product * all->before[other];
+                row[beside + d] += share * product * all->after[other];
+            }
+            for (Size m = all->first[i]; m <= all->first[i + 1]; m++) {
+                int residual = m == all->first[i + 1];
+                const double *other = residual ? all->residual + i * r
+                                               : all->by_constants + all->entry[m] * r;
+                double product = 0.0;
+                for (Size q = 0; q < r; q++)
+                    product += own[q] * other[q];
+                row[knots + (residual ? all->constants
+                                      : (Size)all->constant_column[all->entry[m]])] +=
+                    share * product;
+            }
+        }
+    }
 }
 
 /* Write what was held of an interval, and hold nothing. */
@@ -799,15 +840,21 @@ INLINE void put(const Blocks *all, Size place, Size knots, Held *held)
         }
         memset(held->own, 0, sizeof(double) * (size_t)(knots * knots));
     }
-    for (Size column = 0; column <= all->constants; column++) {
+    Size others = all->constants + 1;
+    for (Size column = 0; column < others + (all->order ? 2 * all->walks : 0); column++) {
         if (!held->touched[column])
             continue;
         double *cross = held->cross + column * knots;
         held->touched[column] = 0;
+        Size walk = column - others, at = knots + column;
+        if (column >= others)
+            at = walk < all->walks ? all->path + walk : knots / 2 + all->path + walk - all->walks;
         for (Size k = 0; k < held->columns; k++) {
             Size a = all->order ? held->column[k] : k;
-            double scale = all->order ? held->scale[k] : 1.0;
-            total[a * width + knots + column] += scale * cross[k];
+            double value = all->order ? held->scale[k] * cross[k] : cross[k];
+            total[a * width + at] += value;
+            if (column >= others)
+                total[at * width + a] += value;
             cross[k] = 0.0;
         }
     }
@@ -824,7 +871,8 @@ INLINE int add_all_of(Size order, const Blocks *all, Held *held)
         before = place;
         double root = all->weight == NULL ? 1.0 : all->weight[i];
         if (order)
-            add_moments_of(2 * order, all, i, root, knots, held);
+            add_moments_of(2 * order, all, i, root, knots, held,
+                           all->knots + place * knots * (knots + c));
         else
             add_rows_of(all, i, root, d, knots, held);
         add_others(all, i, root, all->others + (all->held > 1 ? place * c * c : 0));
@@ -847,7 +895,8 @@ WIDE static int add_all(const Blocks *all, Held *held)
 /* Make room for the sums of an interval; NULL without memory. */
 static double *make_room(const Blocks *all, Size knots, Held *held)
 {
-    Size columns = all->constants + 1, size = 2 * all->order, d = all->path + all->walks;
+    Size columns = all->constants + 1 + 2 * all->walks, size = 2 * all->order;
+    Size d = all->path + all->walks;
     Size own = all->order ? 6 * MOST_PAIRS : knots * knots;
     double *room = calloc((size_t)(own + columns * knots + 2 * knots + 1),  sizeof(double));
     if (room == NULL)
@@ -884,8 +933,8 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
     all.f = whole(&reader);
     if (!reader.failed &&
         ((all.held != 1 && all.held != all.intervals) ||
-         (all.order && (!all.chained || all.f || all.path != 3 * all.order ||
-                        all.order > MOST_ORDER)))) {
+         (all.order &&
+          (!all.chained || all.path != 3 * all.order || all.order > MOST_ORDER)))) {
         PyErr_SetString(PyExc_ValueError, "expected sums of one interval or of each; weights of "
                                           "blocks only along a chain of 1 to 3 blocks");
         reader.failed = 1;
@@ -926,7 +975,7 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
     Size *index = malloc(sizeof(Size) * (size_t)(2 * (all.n + 2) + all.e + all.f));
     Held held;
     double *room = make_room(&all, knots, &held);
-    held.touched = calloc((size_t)columns, 1);
+    held.touched = calloc((size_t)(columns + 2 * all.walks), 1);
     if (index == NULL || room == NULL || held.touched == NULL) {
         free(index);
         free(room);
@@ -961,7 +1010,7 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
 enum { AZIMUTH = 0, ELEVATION = 1, CLOCK = 2, POSITION = 3, VELOCITY = 6, SPEED = 10, CHANNELS = 14 };
 
 typedef struct {
-    Size n, knots, order, e, s;
+    Size n, knots, order, e, s, f, walks;
     const double *knots_s, *basis, *hermite;
     const double *received_s, *sensor_m, *axes, *sensor_velocity, *axes_rate;
     const double *azimuth, *elevation, *noise_elevation, *tangent, *white;
@@ -971,7 +1020,10 @@ typedef struct {
     int64_t *interval;
     const int64_t *constant_row, *constant_channel, *constant_column;
     const double *constant_basis, *constants;
-    const Size *first, *entry;
+    const int64_t *walk_row, *walk_channel, *walk_column;
+    const double *walk_basis, *walk_time, *chains;
+    double *walk_before, *walk_after, *by_walks;
+    const Size *first, *entry, *first_walk, *entry_walk;
 } Bearings;
 
 INLINE double dot(const double *a, const double *b)
@@ -1263,6 +1315,19 @@ INLINE void bearings_of(Size order, const Bearings *all)
             }
             light_time = fmax(light_time + correction, 0.0);
         }
+        /* Walks are of the directions alone, and are read in the interval of the emission; beyond it
+           a walk is what it was at the nearer knot. */
+        for (Size k = all->first_walk[i]; k < all->first_walk[i + 1]; k++) {
+            Size entry = all->entry_walk[k];
+            const double *chain = all->chains + guess * all->walks + all->walk_column[entry];
+            double after = (all->walk_time[i] - all->knots_s[guess]) /
+                           (all->knots_s[guess + 1] - all->knots_s[guess]);
+            after = after < 0.0 ? 0.0 : after > 1.0 ? 1.0 : after;
+            all->walk_before[entry] = 1.0 - after;
+            all->walk_after[entry] = after;
+            errors[all->walk_channel[entry]] +=
+                ((1.0 - after) * chain[0] + after * chain[all->walks]) * all->walk_basis[entry];
+        }
         all->light_time_s[i] = light_time;
         all->interval[i] = guess;
         all->time_s[i] = emitted;
@@ -1288,6 +1353,11 @@ INLINE void bearings_of(Size order, const Bearings *all)
             for (int q = 0; q < 2; q++)
                 all->by_constants[2 * entry + q] = channel[q][by] * all->constant_basis[entry];
         }
+        for (Size k = all->first_walk[i]; k < all->first_walk[i + 1]; k++) {
+            Size entry = all->entry_walk[k], by = (Size)all->walk_channel[entry];
+            for (int q = 0; q < 2; q++)
+                all->by_walks[2 * entry + q] = channel[q][by] * all->walk_basis[entry];
+        }
     }
 }
 
@@ -1306,6 +1376,8 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     Size order = all.order = whole(&reader);
     Size e = all.e = whole(&reader);
     all.s = whole(&reader);
+    Size f = all.f = whole(&reader);
+    all.walks = whole(&reader);
     all.rounds = (int)whole(&reader);
     all.clocked = (int)whole(&reader);
     all.fast = (int)whole(&reader);
@@ -1341,13 +1413,24 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.constant_basis = reals(&reader, e);
     all.constants = reals(&reader, all.s);
     all.by_constants = results(&reader, all.by_position == NULL ? 0 : 2 * e);
+    all.walk_row = integers(&reader, f);
+    all.walk_channel = integers(&reader, f);
+    all.walk_column = integers(&reader, f);
+    all.walk_basis = reals(&reader, f);
+    all.walk_time = reals(&reader, n);
+    all.chains = reals(&reader, knots * all.walks);
+    all.walk_before = results(&reader, f);
+    all.walk_after = results(&reader, f);
+    all.by_walks = results(&reader, all.by_position == NULL ? 0 : 2 * f);
     int there = all.knots_s && all.basis && all.hermite && all.received_s && all.sensor_m &&
                 all.axes && all.sensor_velocity && all.azimuth && all.elevation &&
                 all.white && all.light_time_s && all.residual && all.interval && all.time_s &&
                 all.constant_row && all.constant_channel && all.constant_column &&
-                all.constant_basis && all.constants;
+                all.constant_basis && all.constants && all.walk_row && all.walk_channel &&
+                all.walk_column && all.walk_basis && all.walk_time && all.chains &&
+                all.walk_before && all.walk_after;
     if (all.by_position != NULL)
-        there = there && all.weights && all.by_constants;
+        there = there && all.weights && all.by_constants && all.by_walks;
     if (!complete(&reader, there)) {
         release(&reader);
         return NULL;
@@ -1356,16 +1439,22 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     for (Size k = 0; k < e; k++)
         fits &= all.constant_channel[k] >= 0 && all.constant_channel[k] < CHANNELS &&
                 all.constant_column[k] >= 0 && all.constant_column[k] < all.s;
-    Size *index = malloc(sizeof(Size) * (size_t)(n + 2 + e));
+    for (Size k = 0; k < f; k++)
+        fits &= (all.walk_channel[k] == AZIMUTH || all.walk_channel[k] == ELEVATION) &&
+                all.walk_column[k] >= 0 && all.walk_column[k] < all.walks;
+    Size *index = malloc(sizeof(Size) * (size_t)(2 * (n + 2) + e + f));
     if (index == NULL) {
         release(&reader);
         return PyErr_NoMemory();
     }
     Py_BEGIN_ALLOW_THREADS
-    Size *entry = index + n + 2;
+    Size *first_walk = index + n + 2, *entry = first_walk + n + 2, *entry_walk = entry + e;
     all.first = index;
     all.entry = entry;
-    fits = fits && by_row(n, e, all.constant_row, index, entry);
+    all.first_walk = first_walk;
+    all.entry_walk = entry_walk;
+    fits = fits && by_row(n, e, all.constant_row, index, entry) &&
+           by_row(n, f, all.walk_row, first_walk, entry_walk);
     if (fits)
         bearings_all(&all);
     Py_END_ALLOW_THREADS
