@@ -341,3 +341,14 @@ def test_a_radars_message_is_read_for_its_angles(tmp_path: Path, options: Import
     with pytest.raises(InputError, match=r"XSYE is not read.*\(--ignore XSYE\)"):
         read_tdm(path, options, ignore=ignore)
     check(read_tdm(path, options, ignore=[*ignore, "XSYE"]), rows)
+
+
+def test_the_scatter_of_a_fast_pass_seen_seldom(tmp_path: Path, options: ImportOptions) -> None:
+    """A knot for ten directions would leave 36 times the noise that there is."""
+    text = tdm(sightings(sigma_deg=0.002, step_s=8.0, last_s=320.0))
+    stations = ImportOptions(stations=options.stations)
+    bearings = read_tdm(write(tmp_path / "a.tdm", text), stations).bearings
+    assert bearings is not None
+    # 40 directions less some 18 parameters, twice: 11 % at one sigma; the band is four and a half.
+    found = np.degrees(np.unique(bearings.sigma_azimuth_rad))
+    assert ((found > 0.001) & (found < 0.003)).all()
