@@ -18,7 +18,7 @@ from made_track import make_track
 from small_recordings import write_small
 
 import geograph
-from geograph.cli import main
+from geograph.cli import main, names
 from geograph.errors import SolveError
 from geograph.plot import PICTURES
 from geograph.recording import LossName, MotionName, SmoothSettings
@@ -272,9 +272,24 @@ def test_convert_rewrites_a_recording(recording, tmp_path, capsys):
 
 def test_version_names_what_computes():
     done = run("--version")
-    pattern = r"geograph \S+ \(gtsam \S+, numpy \S+, scipy \S+, Python \S+\)\n"
+    pattern = (
+        r"geograph \S+ \(Python \S+, \S+; kernels (compiled|NumPy alone)\)\n"
+        r"needs: gtsam \S+, matplotlib \S+, numpy \S+, pandas \S+, pyproj \S+, rich \S+, "
+        r"scipy \S+, threadpoolctl \S+, typer \S+\nextras: .+\n"
+    )
     assert done.returncode == 0
-    assert re.fullmatch(pattern, done.stdout)
+    assert re.fullmatch(pattern, done.stdout), done.stdout
+
+
+def test_shells_complete_names(monkeypatch):
+    monkeypatch.setenv("COMP_WORDS", "geograph smooth x --motion orb")
+    monkeypatch.setenv("COMP_CWORD", "4")
+    monkeypatch.setenv("_GEOGRAPH_COMPLETE", "complete_bash")
+    assert run().stdout.split() == ["orbital"]
+    assert names.example_names("win") == ["winchcombe"]
+    assert names.scenario_names("low-o") == ["low-orbit"]
+    assert names.one_of("format")("map") == ["mapped"]
+    assert names.one_of("loss")("g") == ["geman-mcclure", "gnc"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -292,7 +307,7 @@ def test_without_arguments_the_commands_are_shown():
 def test_help_needs_no_heavy_library():
     program = (
         "import sys\n"
-        "from geograph.cli import main\n"
+        "from geograph.cli import main, names\n"
         "try:\n"
         "    main(['--help'])\n"
         "except SystemExit:\n"
@@ -339,7 +354,7 @@ def test_on_a_terminal_there_is_colour_and_progress(recording, tmp_path):
 
 def test_help_imports_nothing_heavy():
     code = (
-        "import sys; from geograph.cli import main; main(['--help']);"
+        "import sys; from geograph.cli import main, names; main(['--help']);"
         "heavy = {'gtsam', 'scipy', 'pandas', 'matplotlib', 'pyproj', 'astropy', 'pyarrow'};"
         "assert not heavy.intersection(sys.modules), heavy.intersection(sys.modules)"
     )

@@ -12,6 +12,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -88,6 +89,29 @@ def test_links_between_documents_lead_somewhere():
         for target in re.findall(r"\]\(([^)\s#]+)[^)]*\)", text):
             if "://" not in target and not target.startswith("mailto:"):
                 assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_the_interface_page_has_every_public_name():
+    listed = {}
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    for module, options in re.findall(r"^::: (\S+)\n((?:    .*\n)*)", page, re.MULTILINE):
+        names = re.search(r"members: \[([^\]]*)\]", options)
+        public = getattr(import_module(module), "__all__", None)
+        found = names[1].split(", ") if names else public or ()
+        listed.setdefault(module, set()).update(found)
+        if public is not None:
+            assert set(found) <= set(public), module
+    for module in ("geograph", *listed):
+        public = set(getattr(import_module(module), "__all__", ())) - {"__version__"}
+        assert public <= listed[module], f"{module}: {sorted(public - listed[module])}"
+
+
+def test_every_page_is_in_the_navigation_and_on_the_first_page():
+    navigation = (ROOT / ".mkdocs.yml").read_text(encoding="utf-8").partition("nav:")[2]
+    first = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    for document in (ROOT / "docs").glob("*.md"):
+        assert f"- {document.name}\n" in navigation, document.name
+        assert document.name == "index.md" or f"({document.name}" in first, document.name
 
 
 def test_the_runner_sees_what_is_wrong(tmp_path):

@@ -351,6 +351,8 @@ def test_bad_iod(tmp_path: Path, options: ImportOptions, old: str, new: str, exp
         ("2024 03", "2024-03", r"expected a date as"),
         ("03 49", "24 01", r"column 33-44: .*expected 24 at most"),
         ("03 49", "xx 49", r"column 33-44: .*expected three numbers"),
+        ("03 49 1", "057 17 ", r"column 33-44: .*expected three numbers"),
+        ("2024 03", "K24 03 ", r"expected a date as .*K210228:215346123"),
         ("+28", " 28", r"column 45: is ' '; expected the sign"),
         ("500", "5 0", r"column 78-80: is '5 0'; expected an observatory"),
         ("500", "500 and more", r"column 81-89: has 89 columns; expected 80"),
@@ -360,6 +362,25 @@ def test_bad_mpc(tmp_path: Path, options: ImportOptions, old: str, new: str, exp
     assert old in MPC
     with pytest.raises(InputError, match=expected):
         read_mpc(write(tmp_path / "a.mpc", MPC.replace(old, new)), options)
+
+
+def test_times_of_astrometry_to_the_millisecond(tmp_path: Path, options: ImportOptions) -> None:
+    """The same instant in three forms, with the lines about the observer before it."""
+    chosen = ImportOptions(stations=options.stations, sigma_deg=0.01)
+    head = "COD 500\nOBS A. Nobody\nTEL 0.3-m f/4 reflector\nNET Gaia DR3\n"
+    for form, expected in (
+        ("2024 03 20.794568", 50.6752),
+        ("K240320.794567890", 50.665696),
+        ("K240320:190410666", 10.666),
+        ("K240320:190410", 10.0),
+    ):
+        line = MPC[:15] + f"{form:<17}" + MPC[32:]
+        recording = read_mpc(write(tmp_path / "a.mpc", f"{head}{line}\n"), chosen)
+        assert recording.epoch is not None
+        assert recording.epoch.isoformat() == "2024-03-20T19:04:00+00:00"
+        # 0.794567890 of a day is 19:04:10.665696.
+        found = bearings_of(recording).time_s.tolist()
+        assert found == pytest.approx([expected % 40.0], abs=1e-6)
 
 
 def test_times_outside_the_tables_of_the_earth(tmp_path: Path, options: ImportOptions) -> None:

@@ -25,7 +25,7 @@ from geograph.report_page.graticule import graticule
 from geograph.report_page.limits import Limits, limits_for, short, thinned
 from geograph.report_page.page import page
 from geograph.report_page.residual_charts import residual_charts
-from geograph.report_page.scene import scene
+from geograph.report_page.scene import clocks, scene
 from geograph.results import as_results
 
 VICIOUS = """<b>"&'</script><script>document.title='taken'</script>"""
@@ -249,6 +249,13 @@ def test_outliers_are_named_once_the_greatest_first():
     size = [abs(float(row[5])) for row in sheet.rows]
     assert size == sorted(size, reverse=True)
     assert facts.outlier_sheet(made, Limits(rows=2)).left_out == 3
+
+
+def test_times_that_rounding_made_negative_are_zero():
+    made = as_results(make_track(frame="local"))
+    assert clocks(made, np.array([-4e-10, 1.5])) == ["0.000 s", "1.500 s"]
+    made.summary["directions"] = [{"time_s": -4e-10, "name": "x", "sigma_m": 1.0}]
+    assert facts.direction_sheet(made).rows[0][0] == "0"
 
 
 def test_pages_of_many_share_one_size():

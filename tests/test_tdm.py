@@ -200,7 +200,7 @@ def test_other_objects_and_other_measurements(tmp_path: Path, options: ImportOpt
         ),
         ("ANGLE_1 = ", "DOPPLER_INSTANTANEOUS = ", r"range rates are active measurements"),
         ("ANGLE_1 = ", "RECEIVE_FREQ = ", r"object's unknown oscillator; differences"),
-        ("ANGLE_1 = ", "ANGLE_3 = ", r"'ANGLE_3' with MODE SEQUENTIAL is not read"),
+        ("ANGLE_1 = ", "ANGLE_3 = ", r"'ANGLE_3' with MODE 'SEQUENTIAL' is not read"),
         ("CCSDS_TDM_VERS", "CCSDS_OEM_VERS", r"a.tdm:1: does not begin with CCSDS_TDM_VERS"),
         ("META_STOP\n", "", r"a.tdm:12, column DATA_START: |DATA_START is out of place"),
         ("ORIGINATOR", "Originator", r"a.tdm:3: has 'Originator' before its equals sign"),
@@ -246,3 +246,109 @@ def test_messages_of_nothing(tmp_path: Path, options: ImportOptions) -> None:
         read_tdm(write(tmp_path / "a.tdm", cut), options)
     with pytest.raises(InputError, match="has no position here; expected a station list"):
         read_tdm(write(tmp_path / "a.tdm", tdm()))
+
+
+SPEC = """\
+CCSDS_TDM_VERS = 1.0
+\tCOMMENT a comment = with an equals sign
+\tCREATION_DATE = 2016-366T23:00:00Z
+\tORIGINATOR = MADE
+
+META_START
+COMMENT in metadata
+TRACK_ID = 7
+DATA_TYPES = ANGLE_1,ANGLE_2
+TIME_SYSTEM = utc
+PARTICIPANT_1 = SAT
+PARTICIPANT_3 = Alpha
+MODE = sequential
+PATH = 3, 1 ,3
+TIMETAG_REF = receive
+ANGLE_TYPE = azel
+CORRECTION_ANGLE_1 = 0.5
+CORRECTIONS_APPLIED = no
+META_STOP
+DATA_START
+COMMENT all azimuths first, around a leap second
+ANGLE_1 = 2016-12-31T23:59:59.5 +3.598E+02
+ANGLE_1 = 2016-366T23:59:60.5Z 1.0d0
+ANGLE_1 = 2017-001T00:00:00.5 -.5
+ANGLE_2 = 2016-366T23:59:59.5 1e1
+ANGLE_2 = 2016-12-31T23:59:60.500000000 10.
+ANGLE_2 = 2017-01-01T00:00:00.5 351
+DATA_STOP
+META_START
+TIME_SYSTEM = GPS
+PARTICIPANT_1 = Bravo
+PARTICIPANT_2 = SAT
+ANGLE_TYPE = AZEL
+META_STOP
+DATA_START
+ANGLE_1 = 2017-01-01T00:00:18.5 10
+ANGLE_2 = 2017-01-01T00:00:18.5 20
+DATA_STOP
+"""
+
+
+def test_the_letter_of_the_standard(tmp_path: Path, options: ImportOptions) -> None:
+    """Two segments, one of GPS time; days of the year, exponents, a leap second, wrapping."""
+    recording = read_tdm(write(tmp_path / "a.tdm", SPEC), options)
+    bearings = recording.bearings
+    assert bearings is not None
+    # 23:59:59.5, :60.5, 00:00:00.5 UTC are a second apart; GPS time is then 18 s ahead of UTC.
+    np.testing.assert_allclose(bearings.time_s, [59.5, 60.5, 61.5, 61.5], atol=1e-9)
+    azimuth, elevation = np.degrees(bearings.azimuth_rad), np.degrees(bearings.elevation_rad)
+    np.testing.assert_allclose((azimuth + 1e-9) % 360.0, [0.3, 1.5, 0.0, 10.0], atol=1e-8)
+    np.testing.assert_allclose(elevation, [10.0, 10.0, -9.0, 20.0], atol=1e-9)
+    assert [recording.sensor_names[index] for index in bearings.sensor] == [
+        *(["Alpha"] * 3),
+        "Bravo",
+    ]
+
+
+def test_frequencies_are_corrected_and_their_carrier_is_that_of_the_time(
+    tmp_path: Path, options: ImportOptions
+) -> None:
+    chosen = ImportOptions(stations=options.stations, sigma_s=1e-7, sigma_hz=0.5)
+    add = "FREQ_OFFSET = 100\nCORRECTION_RECEIVE = 7\nCORRECTIONS_APPLIED = NO\nMETA_STOP\n"
+    # Before the measurement, though after it as a text.
+    later = f"TRANSMIT_FREQ_2 = 2024-080T19:04:11.5 4.4E8\nDOR = {utc(10.0)}"
+    text = DIFFERENCED.replace("META_STOP\n", add).replace(f"DOR = {utc(10.0)}", later)
+    frequencies = read_tdm(write(tmp_path / "a.tdm", text), chosen).frequency_differences
+    assert frequencies is not None
+    assert frequencies.fdoa_hz.tolist() == [-1234.5 + 107.0]
+    assert frequencies.carrier_hz.tolist() == [440.0e6]
+    for old, new, expected in (
+        ("META_STOP", "TIMETAG_REF = TRANSMIT\nMETA_STOP", "column TIMETAG_REF: is TRANSMIT"),
+        ("APPLIED = NO", "APPLIED = MAYBE", r"column CORRECTION_RECEIVE: is given without CORR"),
+        ("SINGLE_DIFF", "A\x00B", r"'DOR' with MODE 'A\\x00B' is not read"),
+        ("SINGLE_DIFF", "Z" * 999, r"with MODE 'Z{36}\.\.\.' is not read"),
+        ("PATH_2 = 2,3", "PATH_2 = " + "1," * 999 + "3", r"column PATH_2: is '1,.*\.\.\.' against"),
+    ):
+        with pytest.raises(InputError, match=expected):
+            read_tdm(write(tmp_path / "b.tdm", text.replace(old, new)), chosen)
+
+
+def test_a_radars_message_is_read_for_its_angles(tmp_path: Path, options: ImportOptions) -> None:
+    rows = sightings(step_s=10.0)
+    extra = f"RANGE = {utc(1.0)} 900\nDOPPLER_INTEGRATED = {utc(1.0)} -1.5\n"
+    text = tdm(rows, extra=extra)
+    other = text.partition("META_START")[2].partition("DATA_STOP\n")[0].replace("AZEL", "XSYE")
+    path = write(tmp_path / "a.tdm", f"{text}META_START{other}DATA_STOP\n")
+    ignore = ["RANGE", "DOPPLER_INTEGRATED"]
+    with pytest.raises(InputError, match=r"there: --ignore RANGE --ignore DOPPLER_INTEGRATED$"):
+        read_tdm(path, options)
+    with pytest.raises(InputError, match=r"XSYE is not read.*\(--ignore XSYE\)"):
+        read_tdm(path, options, ignore=ignore)
+    check(read_tdm(path, options, ignore=[*ignore, "XSYE"]), rows)
+
+
+def test_the_scatter_of_a_fast_pass_seen_seldom(tmp_path: Path, options: ImportOptions) -> None:
+    """A knot for ten directions would leave 36 times the noise that there is."""
+    text = tdm(sightings(sigma_deg=0.002, step_s=8.0, last_s=320.0))
+    stations = ImportOptions(stations=options.stations)
+    bearings = read_tdm(write(tmp_path / "a.tdm", text), stations).bearings
+    assert bearings is not None
+    # 40 directions less some 18 parameters, twice: 11 % at one sigma; the band is four and a half.
+    found = np.degrees(np.unique(bearings.sigma_azimuth_rad))
+    assert ((found > 0.001) & (found < 0.003)).all()

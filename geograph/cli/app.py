@@ -12,6 +12,7 @@ from geograph.cli.bound_command import bound
 from geograph.cli.convert_command import convert
 from geograph.cli.doctor_command import doctor
 from geograph.cli.montecarlo_command import montecarlo
+from geograph.cli.names import example_names
 from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotations
     Elimination,
     Jobs,
@@ -39,11 +40,9 @@ app = typer.Typer(
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from geograph.results import versions
+        from geograph.cli.names import versions_text
 
-        found = versions()
-        others = ", ".join(f"{name} {found[name]}" for name in ("gtsam", "numpy", "scipy"))
-        typer.echo(f"geograph {found['geograph']} ({others}, Python {found['python']})")
+        typer.echo(versions_text())
         raise typer.Exit
 
 
@@ -120,7 +119,10 @@ def smooth(
 @app.command()
 def example(
     name: Annotated[
-        str | None, typer.Argument(help="winchcombe or locards; --list says what they are.")
+        str | None,
+        typer.Argument(
+            help="winchcombe or locards; --list says what they are.", autocompletion=example_names
+        ),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")

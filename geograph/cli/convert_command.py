@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from geograph.cli.names import one_of
+
 FOREIGN_PANEL = "For formats whose files do not say it"
 
 
@@ -69,6 +71,7 @@ def convert(
             metavar="NAME",
             help="Format of the files, where their suffix does not say it: ecsv, tdm, iod, uk, mpc "
             "or mapped.",
+            autocompletion=one_of("format"),
             rich_help_panel=FOREIGN_PANEL,
         ),
     ] = None,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from geograph.cli.names import scenario_names
 from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotations
     Elimination,
     Jobs,
@@ -24,7 +25,12 @@ from geograph.cli.simulate_command import Changes  # noqa: TC001 - typer evaluat
 
 def montecarlo(
     name: Annotated[
-        str, typer.Argument(metavar="SCENARIO", help="A name that geograph simulate --list shows.")
+        str,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="A name that geograph simulate --list shows.",
+            autocompletion=scenario_names,
+        ),
     ],
     *,
     runs: Annotated[

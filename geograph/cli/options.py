@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from geograph.cli.names import one_of
+
 SETTINGS_PANEL = "Settings that override the recording's own"
 
 Motion = Annotated[
@@ -13,6 +15,7 @@ Motion = Annotated[
     typer.Option(
         help="static, constant-position, constant-velocity, constant-acceleration, ballistic "
         "or orbital.",
+        autocompletion=one_of("motion"),
         rich_help_panel=SETTINGS_PANEL,
     ),
 ]
@@ -40,7 +43,9 @@ Spacing = Annotated[
 Loss = Annotated[
     str | None,
     typer.Option(
-        help="auto, none, huber, cauchy, geman-mcclure or gnc.", rich_help_panel=SETTINGS_PANEL
+        help="auto, none, huber, cauchy, geman-mcclure or gnc.",
+        autocompletion=one_of("loss"),
+        rich_help_panel=SETTINGS_PANEL,
     ),
 ]
 MaxIterations = Annotated[
@@ -53,6 +58,7 @@ Elimination = Annotated[
     str | None,
     typer.Option(
         help="Who factorises the linear systems: structured (our own) or gtsam.",
+        autocompletion=one_of("elimination"),
         rich_help_panel=SETTINGS_PANEL,
     ),
 ]

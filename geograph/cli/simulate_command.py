@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from geograph.cli.names import scenario_names
+
 Changes = Annotated[
     list[str] | None,
     typer.Option(
@@ -19,7 +21,10 @@ Changes = Annotated[
 
 def simulate(
     name: Annotated[
-        str | None, typer.Argument(metavar="SCENARIO", help="A name that --list shows.")
+        str | None,
+        typer.Argument(
+            metavar="SCENARIO", help="A name that --list shows.", autocompletion=scenario_names
+        ),
     ] = None,
     output: Annotated[
         Path | None,

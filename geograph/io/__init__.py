@@ -6,7 +6,6 @@ import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from geograph.io.atomic import check_replaceable, replacing_folder
 from geograph.io.convert import ForeignOptions, convert
 from geograph.io.ecsv import read_ecsv
 from geograph.io.reader import read
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 __all__ = [
     "ForeignOptions",
     "ImportOptions",
-    "check_replaceable",
     "convert",
     "read",
     "read_ecsv",
@@ -35,7 +33,6 @@ __all__ = [
     "read_stations",
     "read_tdm",
     "read_uk",
-    "replacing_folder",
     "write",
 ]
 

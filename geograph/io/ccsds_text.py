@@ -63,7 +63,7 @@ class Entry:
     def system(self) -> TimeSystem:
         """Return its value as a time system; or InputError."""
         try:
-            return known_system(self.value)
+            return known_system(self.value.upper())
         except ValueError as error:
             self.fail(str(error))
 

@@ -312,7 +312,11 @@ def _instant(text: str, layout: TableMapping) -> int:
     if form.format == "iso":
         return parse_instant(text, form.system) - offset
     if "%" in form.format:
-        moment = datetime.strptime(text, form.format)
+        try:
+            moment = datetime.strptime(text, form.format)
+        # Python's own message holds the whole text.
+        except ValueError:
+            raise ValueError(f"expected the form {shown(form.format)}") from None
         if moment.tzinfo is not None:
             return from_datetime(moment)
         start = day_ns(moment.year, moment.month, moment.day)

@@ -1,16 +1,19 @@
 """Optical astrometry in the 80 columns of the Minor Planet Center.
 
 Columns, from one: 1-12 object, 15 kind of observation, 16-32 UTC as YYYY MM DD.dddddd, 33-44 right
-ascension, 45-56 declination (J2000, against stars of the ICRS), 78-80 observatory.
+ascension, 45-56 declination (J2000, against stars of the ICRS), 78-80 observatory. For satellites,
+which move by a tenth of a degree in the last digit of that time, B. Gray's Find_Orb has two more
+forms in the same columns: KYYMMDD.ddddddddd and KYYMMDD:HHMMSSsss, where K is 20 and J is 19.
 """
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geograph.io.instants import DAY_NS, day_ns, in_system
+from geograph.io.instants import DAY_NS, clock_ns, day_ns, in_system
 from geograph.io.messages import shown
 from geograph.io.packed import Line, of_one_object
 from geograph.io.rows import ImportOptions, Sighting
@@ -34,6 +37,12 @@ _REFUSED = {
     "O": "an offset from a planet",
 }
 
+_HEADS = ("COD", "CON", "OBS", "MEA", "TEL", "NET", "BND", "COM", "NUM", "ACK", "AC2")
+"""Words that lines about the observers begin with, before those of the observations."""
+
+_PACKED_DATE = re.compile(r"([JK])(\d\d)(\d\d)(\d\d)(?:\.(\d*)|:(\d\d)(\d\d)(\d\d)(\d*))", re.ASCII)
+_EXPECTED_DATE = "expected a date as 2021 02 28.912345, K210228.912345678 or K210228:215346123"
+
 
 def read_mpc(
     paths: Path | str | Sequence[Path | str],
@@ -46,7 +55,7 @@ def read_mpc(
     Parameters
     ----------
     paths
-        Files.
+        Files. Lines about the observers (``COD``, ``OBS``, ``TEL`` and so on) are passed over.
     options
         What they do not say: stations by their three-character codes, sigmas (else the scatter),
         priors.
@@ -63,7 +72,9 @@ def read_mpc(
     return recording_of(rows, ImportOptions() if options is None else options)
 
 
-def _parse(line: Line) -> tuple[tuple[str, ...], Sighting]:
+def _parse(line: Line) -> tuple[tuple[str, ...], Sighting | None]:
+    if line.columns(1, 3) in _HEADS and line.columns(4, 4) == " ":
+        return (), None
     if len(line.text) > 80:
         line.fail(81, len(line.text), f"has {len(line.text)} columns; expected 80")
     station = line.columns(78, 80)
@@ -104,7 +115,8 @@ def _sexagesimal(line: Line, first: int, last: int, limit: float) -> float:
             raise ValueError
         for position, word in enumerate(words):
             whole = word if position < len(words) - 1 else word.replace(".", "", 1)
-            if not whole.isdecimal():
+            # Three digits would be degrees where hours are due.
+            if not whole.isdecimal() or len(word.partition(".")[0]) > 2:
                 raise ValueError
             number = float(word)
             if position and number >= 60.0:
@@ -119,17 +131,24 @@ def _sexagesimal(line: Line, first: int, last: int, limit: float) -> float:
 
 
 def _instant(line: Line) -> int:
-    text = line.columns(16, 32)
+    text = line.columns(16, 32).strip()
     words = text.split()
+    packed = _PACKED_DATE.fullmatch(text)
     try:
-        if len(words) != 3 or not text.isascii():
-            raise ValueError("expected a date as 2021 02 28.912345")
-        year, month, (day, _, fraction) = words[0], words[1], words[2].partition(".")
-        if not all(word.isdecimal() for word in (year, month, day, fraction or "0")):
-            raise ValueError("expected a date as 2021 02 28.912345")
-        start = day_ns(int(year), int(month), int(day))
-        # Whole nanoseconds of a day: exact for the nine decimals that there is room for.
+        if packed is not None:
+            century, short, month, day, fraction, *clock = packed.groups()
+            start = day_ns((1900 if century == "J" else 2000) + int(short), int(month), int(day))
+            if clock[0] is not None:
+                hour, minute, second = map(int, clock[:3])
+                return clock_ns(start, hour, minute, second, int(clock[3][:9].ljust(9, "0")))
+        else:
+            if len(words) != 3 or not text.isascii():
+                raise ValueError(_EXPECTED_DATE)
+            year, month, (day, _, fraction) = words[0], words[1], words[2].partition(".")
+            if not all(word.isdecimal() for word in (year, month, day, fraction or "0")):
+                raise ValueError(_EXPECTED_DATE)
+            start = day_ns(int(year), int(month), int(day))
         part = int((fraction or "0")[:14].ljust(14, "0")) * DAY_NS // 10**14
     except ValueError as error:
-        line.fail(16, 32, f"is {shown(text.strip())}; {error}")
+        line.fail(16, 32, f"is {shown(text)}; {error}")
     return in_system(start + part, "UTC")

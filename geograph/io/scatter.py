@@ -17,7 +17,7 @@ _DEGREE = 5
 _LEAST_TIMES = _DEGREE + 3
 _TIMES_PER_SEGMENT = 4
 _SEGMENTS_PER_SECOND = 2
-_TIMES_PER_LONG_SEGMENT = 10
+_TIMES_PER_LONG_SEGMENT = (10, 7, 5, 4, 3)
 # Rounding of directions, a hundred times.
 _NOTHING_RAD = 1e-13
 
@@ -82,8 +82,10 @@ def smooth_scatter_rad(
 
     Unlike :func:`angular_scatter_rad` it does not take the path for straight: satellites and
     aircraft do not follow great circles of a station's sky. It is the root mean square of what is
-    left, in the tangent plane, of a quintic spline through the directions with a knot for ten
-    times, corrected for its parameters.
+    left, in the tangent plane, of a quintic spline through the directions, corrected for its
+    parameters. The spline has a knot for ten times, and more of them, a knot for three at most, as
+    long as what is left falls by more than chance would have it: a low satellite that is seen every
+    few seconds turns too fast for the first.
 
     Parameters
     ----------
@@ -103,13 +105,26 @@ def smooth_scatter_rad(
     times = np.unique(time).size
     if times < _LEAST_TIMES:
         return None
-    basis = _spline_basis(time, max(times // _TIMES_PER_LONG_SEGMENT, 1))
-    coefficients, *_ = np.linalg.lstsq(basis, direction, rcond=None)
-    residual = direction - basis @ coefficients
-    residual -= np.sum(residual * direction, axis=1)[:, None] * direction
-    # Two coordinates on the sky, each with the spline's parameters.
-    scatter = float(np.sqrt(np.sum(residual**2) / (2 * (time.size - basis.shape[1]))))
+    square, freedom = np.inf, 0
+    for each in _TIMES_PER_LONG_SEGMENT:
+        basis = _spline_basis(time, max(times // each, 1))
+        coefficients, *_ = np.linalg.lstsq(basis, direction, rcond=None)
+        residual = direction - basis @ coefficients
+        residual -= np.sum(residual * direction, axis=1)[:, None] * direction
+        # Two coordinates on the sky, each with the spline's parameters.
+        left, free = float(np.sum(residual**2)), 2 * (time.size - basis.shape[1])
+        more = freedom - free
+        if not freedom or (
+            free > 0 and more > 0 and _falls_more_than_by_chance(square - left, more, left / free)
+        ):
+            square, freedom = left, free
+    scatter = float(np.sqrt(square / freedom))
     return scatter if scatter > _NOTHING_RAD else None
+
+
+def _falls_more_than_by_chance(fall: float, parameters: int, variance: float) -> bool:
+    """Tell whether a fall of the squares is beyond four sigmas of that of needless parameters."""
+    return bool(fall > parameters * variance * (1.0 + 4.0 * np.sqrt(2.0 / parameters)))
 
 
 def _pass_segments(time_s: NDArray[np.float64]) -> int:

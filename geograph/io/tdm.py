@@ -21,6 +21,7 @@ from geograph.io.messages import listed, shown
 from geograph.io.rows import Difference, ImportOptions, Sighting
 from geograph.io.sightings import recording_of
 from geograph.io.stations import matched
+from geograph.io.tdm_keywords import FRAMES, PASSED_OVER, flags_to_ignore, why_not
 from geograph.io.tdm_segments import Record, Segment, read_segments
 
 if TYPE_CHECKING:
@@ -28,30 +29,6 @@ if TYPE_CHECKING:
 
     from geograph.io.instants import TimeSystem
     from geograph.recording import Recording
-
-_PASSED_OVER = re.compile(
-    r"MAG|RCS|PRESSURE|TEMPERATURE|RHUMIDITY|CARRIER_POWER|PC_N0|PR_N0|STEC|TROPO_(DRY|WET)|"
-    r"TRANSMIT_FREQ_\d|TRANSMIT_FREQ_RATE_\d"
-)
-"""Records that say nothing of where the object was (TRANSMIT_FREQ gives the carrier)."""
-
-_NOT_READ = {
-    "RANGE": "ranges are active measurements, for which there is no factor",
-    "DOPPLER": "range rates are active measurements, for which there is no factor",
-    "RECEIVE_FREQ": "the frequency at one station depends on the object's unknown oscillator; "
-    "differences (MODE = SINGLE_DIFF) are read",
-    "RECEIVE_PHASE": "phase counts are not read",
-    "TRANSMIT_PHASE": "phase counts are not read",
-    "CLOCK": "clock measurements are not read; give the station's clock a prior in the list",
-}
-
-_FRAMES = {
-    "ICRF": float("nan"),
-    "GCRF": float("nan"),
-    "EME2000": 2000.0,
-    "J2000": 2000.0,
-}
-"""Reference frames of right ascension and declination, with their equinox."""
 
 
 @dataclass
@@ -79,7 +56,8 @@ def read_tdm(
     options
         What they do not say: stations, sigmas, priors.
     ignore
-        Keywords of records to be passed over although they would be refused, such as ``"RANGE"``.
+        Keywords of records to be passed over although they would be refused, such as ``"RANGE"``;
+        also a type of angles, ``"XSYE"``.
     target
         The participant to be located, where the files track several.
 
@@ -94,8 +72,18 @@ def read_tdm(
     for file in files:
         segments = read_segments(file)
         carriers = _carriers(segments)
+        records = (record for segment in segments for record in segment.records)
+        keywords = tuple(dict.fromkeys(record.entry.keyword for record in records))
         for segment in segments:
-            _Reader(segment, chosen, carriers, frozenset(ignore), target).into(collected)
+            reader = _Reader(
+                segment,
+                chosen,
+                carriers=carriers,
+                keywords=keywords,
+                ignore=frozenset(ignore),
+                target=target,
+            )
+            reader.into(collected)
     if len(collected.objects) > 1:
         name, record = list(collected.objects.items())[1]
         record.entry.fail(
@@ -112,17 +100,30 @@ def read_tdm(
     return recording_of([*collected.sightings, *collected.differences], chosen, extra="ccsds")
 
 
-def _carriers(segments: Sequence[Segment]) -> dict[str, list[tuple[str, float]]]:
-    """Return the frequencies that participants transmit, by name: times as written, hertz."""
-    found: dict[str, list[tuple[str, float]]] = {}
+def _carriers(segments: Sequence[Segment]) -> dict[str, list[tuple[int, float]]]:
+    """Return the frequencies that participants transmit, by name: instants, hertz."""
+    found: dict[str, list[tuple[int, float]]] = {}
     for segment in segments:
         for record in segment.records:
             keyword, _, number = record.entry.keyword.rpartition("_")
             name = segment.metadata.get(f"PARTICIPANT_{number}")
             if keyword == "TRANSMIT_FREQ" and name is not None:
-                value = record.entry.number(record.value)
-                found.setdefault(name.value, []).append((record.time, value))
+                instant = record.entry.instant(record.time, _system(segment))
+                found.setdefault(name.value, []).append(
+                    (instant, record.entry.number(record.value))
+                )
     return found
+
+
+def _system(segment: Segment) -> TimeSystem:
+    entry = segment.metadata.get("TIME_SYSTEM")
+    if entry is None:
+        raise InputError(
+            "metadata have no TIME_SYSTEM; expected UTC, TAI, TT or GPS",
+            path=segment.place,
+            line=segment.line,
+        )
+    return entry.system()
 
 
 class _Reader:
@@ -132,27 +133,31 @@ class _Reader:
         self,
         segment: Segment,
         options: ImportOptions,
-        carriers: dict[str, list[tuple[str, float]]],
+        *,
+        carriers: dict[str, list[tuple[int, float]]],
+        keywords: tuple[str, ...],
         ignore: frozenset[str],
         target: str | None,
     ) -> None:
         self.segment, self.options, self.carriers = segment, options, carriers
-        self.ignore, self.target = ignore, target
+        self.keywords, self.ignore, self.target = keywords, ignore, target
         self.metadata = segment.metadata
 
     def into(self, collected: _Collected) -> None:
         """Add what the segment measured."""
-        system = self._system()
+        system = _system(self.segment)
         angles: dict[int, dict[str, Record]] = {}
         differenced = self._word("MODE") == "SINGLE_DIFF"
         for record in self.segment.records:
             keyword = record.entry.keyword
-            if keyword in self.ignore or _PASSED_OVER.fullmatch(keyword):
+            if keyword in self.ignore or PASSED_OVER.fullmatch(keyword):
+                continue
+            if keyword in ("ANGLE_1", "ANGLE_2") and self._word("ANGLE_TYPE") in self.ignore:
                 continue
             time = record.entry.instant(record.time, system)
             if keyword in ("ANGLE_1", "ANGLE_2") and not differenced:
                 if keyword in angles.setdefault(time, {}):
-                    record.entry.fail(f"is there twice at {record.time}; expected it once")
+                    record.entry.fail(f"is there twice at {shown(record.time)}; expected it once")
                 angles[time][keyword] = record
             elif differenced and keyword in ("DOR", "VLBI_DELAY", "RECEIVE_FREQ"):
                 self._add_difference(record, time, collected)
@@ -160,12 +165,6 @@ class _Reader:
                 self._refuse(record)
         if angles:
             self._add_angles(angles, collected)
-
-    def _system(self) -> TimeSystem:
-        entry = self.metadata.get("TIME_SYSTEM")
-        if entry is None:
-            self._fail("metadata have no TIME_SYSTEM; expected UTC, TAI, TT or GPS")
-        return entry.system()
 
     def _fail(self, message: str) -> NoReturn:
         raise InputError(message, path=self.segment.place, line=self.segment.line)
@@ -180,17 +179,17 @@ class _Reader:
 
     def _refuse(self, record: Record) -> NoReturn:
         keyword = record.entry.keyword
-        for start, reason in _NOT_READ.items():
-            if keyword.startswith(start):
-                record.entry.fail(
-                    f"{keyword} cannot be used: {reason}; to read what else is there, ignore it "
-                    f"(--ignore {keyword})"
-                )
+        reason = why_not(keyword, differenced=self._word("MODE") == "SINGLE_DIFF")
+        if reason is not None:
+            flags = flags_to_ignore(self.keywords, self.ignore)
+            record.entry.fail(
+                f"{keyword[:40]} cannot be used: {reason}; to read what else is there: {flags}"
+            )
         mode = self._word("MODE")
         record.entry.fail(
-            f"{shown(keyword)} with MODE {mode or 'missing'} is not read; expected ANGLE_1 and "
-            "ANGLE_2, or with MODE = SINGLE_DIFF DOR, VLBI_DELAY or RECEIVE_FREQ; or ignore it "
-            f"(--ignore {keyword[:40]})"
+            f"{shown(keyword)} with MODE {shown(mode) if mode else 'missing'} is not read; "
+            "expected ANGLE_1 and ANGLE_2, or with MODE = SINGLE_DIFF DOR, VLBI_DELAY or "
+            f"RECEIVE_FREQ; or ignore it (--ignore {keyword[:40]})"
         )
 
     def _path(self, keyword: str) -> list[tuple[str, str]]:
@@ -242,17 +241,14 @@ class _Reader:
         seen, sensor, delay = self._participants()
         if not self._wanted(seen, next(iter(next(iter(angles.values())).values())), collected):
             return
-        if self._word("TIMETAG_REF") == "TRANSMIT":
-            self.metadata["TIMETAG_REF"].fail(
-                "is TRANSMIT; expected angles tagged with the time of reception"
-            )
+        self._check_time_tags()
         celestial, equinox = self._angle_type()
         first_add, second_add = self._corrections(celestial=celestial)
         for time, pair in angles.items():
             if "ANGLE_1" not in pair or ("ANGLE_2" not in pair and celestial):
                 record = next(iter(pair.values()))
                 record.entry.fail(
-                    f"stands alone at {record.time}; expected "
+                    f"stands alone at {shown(record.time)}; expected "
                     f"{'ANGLE_1' if 'ANGLE_2' in pair else 'ANGLE_2'} of the same time"
                 )
             one, two = pair["ANGLE_1"], pair.get("ANGLE_2")
@@ -269,6 +265,12 @@ class _Reader:
                 )
             )
 
+    def _check_time_tags(self) -> None:
+        if self._word("TIMETAG_REF") == "TRANSMIT":
+            self.metadata["TIMETAG_REF"].fail(
+                "is TRANSMIT; expected measurements tagged with the time of reception"
+            )
+
     def _angle_type(self) -> tuple[bool, float]:
         """Return whether angles are right ascension and declination, and of which equinox."""
         entry = self.metadata.get("ANGLE_TYPE")
@@ -280,19 +282,20 @@ class _Reader:
         if kind in ("XEYN", "XSYE"):
             entry.fail(
                 f"{kind} is not read: where the angles of such a mount count from is settled "
-                "between its parties and not by the standard; convert them to AZEL"
+                "between its parties and not by the standard; convert them to AZEL, or read what "
+                f"else is there (--ignore {kind})"
             )
         if kind != "RADEC":
             entry.fail(f"is {shown(entry.value)}; expected AZEL or RADEC")
         frame = self.metadata.get("REFERENCE_FRAME")
         if frame is None:
             entry.fail("is RADEC without REFERENCE_FRAME; expected EME2000 or ICRF beside it")
-        if frame.value not in _FRAMES:
+        if frame.value.upper() not in FRAMES:
             frame.fail(
-                f"{shown(frame.value)} is not read; expected one of {listed(_FRAMES)}; right "
+                f"{shown(frame.value)} is not read; expected one of {listed(FRAMES)}; right "
                 "ascensions of date or of rotating axes have to be converted first"
             )
-        return True, _FRAMES[frame.value]
+        return True, FRAMES[frame.value.upper()]
 
     def _corrections(self, *, celestial: bool) -> tuple[float, float]:
         """Return what is still to be added to the angles, degrees."""
@@ -302,14 +305,17 @@ class _Reader:
                     "is not 0; expected directions against stars, to whose catalogue places no "
                     "aberration was applied; convert them back, and remove it"
                 )
-        one, two = self._number("CORRECTION_ANGLE_1"), self._number("CORRECTION_ANGLE_2")
-        if (one, two) == (0.0, 0.0):
-            return 0.0, 0.0
+        return self._to_add("CORRECTION_ANGLE_1"), self._to_add("CORRECTION_ANGLE_2")
+
+    def _to_add(self, keyword: str) -> float:
+        """Return a correction that was not applied yet, else 0."""
+        value = self._number(keyword)
+        if value == 0.0:
+            return 0.0
         applied = self._word("CORRECTIONS_APPLIED")
         if applied not in ("YES", "NO"):
-            given = "CORRECTION_ANGLE_1" if one else "CORRECTION_ANGLE_2"
-            self.metadata[given].fail("is given without CORRECTIONS_APPLIED; expected YES or NO")
-        return (0.0, 0.0) if applied == "YES" else (one, two)
+            self.metadata[keyword].fail("is given without CORRECTIONS_APPLIED; expected YES or NO")
+        return 0.0 if applied == "YES" else value
 
     def _add_difference(self, record: Record, time: int, collected: _Collected) -> None:
         for keyword in ("PATH_1", "PATH_2"):
@@ -318,12 +324,14 @@ class _Reader:
         first, second = self._path("PATH_1"), self._path("PATH_2")
         if first[:-1] != second[:-1] or first[-1] == second[-1]:
             self.metadata["PATH_2"].fail(
-                f"is {self.metadata['PATH_2'].value} against {self.metadata['PATH_1'].value}; "
+                f"is {shown(self.metadata['PATH_2'].value)} against "
+                f"{shown(self.metadata['PATH_1'].value)}; "
                 "expected paths that differ in the receiving participant alone"
             )
         (_, seen), reference, sensor = first[-2], first[-1], second[-1]
         if not self._wanted(seen, record, collected):
             return
+        self._check_time_tags()
         for receiver, _ in (reference, sensor):
             if self._number(f"RECEIVE_DELAY_{receiver}") != 0.0:
                 self.metadata[f"RECEIVE_DELAY_{receiver}"].fail(
@@ -333,9 +341,10 @@ class _Reader:
         value = record.entry.number(record.value)
         carrier, sigma, unit = np.nan, self.options.sigma_s, "s"
         if record.entry.keyword == "RECEIVE_FREQ":
-            value += self._number("FREQ_OFFSET")
+            value += self._number("FREQ_OFFSET") + self._to_add("CORRECTION_RECEIVE")
+            carrier = self._carrier(seen, time, record)
+            sigma, unit = self.options.sigma_hz, "hz"
             time += self._to_middle()
-            carrier, sigma, unit = self._carrier(seen, record), self.options.sigma_hz, "hz"
         if sigma is None or not sigma > 0.0:
             record.entry.fail(
                 f"has no sigma in this format; give sigma_{unit} (--sigma-{unit}), above 0"
@@ -358,12 +367,12 @@ class _Reader:
         side = {"START": 0.5, "END": -0.5}.get(self._word("INTEGRATION_REF") or "", 0.0)
         return round(side * self._number("INTEGRATION_INTERVAL") * SECOND_NS)
 
-    def _carrier(self, seen: str, record: Record) -> float:
+    def _carrier(self, seen: str, time: int, record: Record) -> float:
+        """Return the frequency that the object emitted at a time, or first if that is later."""
         if self.options.carrier_hz is not None:
             carrier = self.options.carrier_hz
         elif seen in self.carriers:
-            # ISO texts of one system sort as their times do.
-            before = [pair for pair in self.carriers[seen] if pair[0] <= record.time]
+            before = [pair for pair in self.carriers[seen] if pair[0] <= time]
             carrier = max(before)[1] if before else min(self.carriers[seen])[1]
         else:
             record.entry.fail(
@@ -376,14 +385,16 @@ class _Reader:
 
 
 def _angle(record: Record, correction_deg: float, limit_deg: float) -> float:
-    value = record.entry.number(record.value) + correction_deg
-    if limit_deg == 90.0 and value > 180.0:
-        value -= 360.0
+    """Return an angle in radians, its limits being those of what was written."""
+    value = record.entry.number(record.value)
+    if limit_deg == 90.0:
+        value += correction_deg - (360.0 if value > 180.0 else 0.0)
+        correction_deg = 0.0
     if not abs(value) <= limit_deg:
         record.entry.fail(
-            f"is {record.value}; expected {-limit_deg:g} to {limit_deg:g} degrees; an elevation "
-            "beyond the zenith is written with the opposite azimuth"
+            f"is {shown(record.value)}; expected {-limit_deg:g} to {limit_deg:g} degrees; an "
+            "elevation beyond the zenith is written with the opposite azimuth"
             if limit_deg == 90.0
-            else f"is {record.value}; expected -360 to 360 degrees"
+            else f"is {shown(record.value)}; expected -360 to 360 degrees"
         )
-    return float(np.radians(value))
+    return float(np.radians(value + correction_deg))

@@ -96,7 +96,8 @@ def _satellite(path: Path, content: bytes) -> Any:
         _check(number, line, path)
     if marked[0][1][2:7] != marked[1][1][2:7]:
         raise InputError(
-            f"lines are of satellites {marked[0][1][2:7]} and {marked[1][1][2:7]}; expected one",
+            f"lines are of satellites {shown(marked[0][1][2:7])} and {shown(marked[1][1][2:7])}; "
+            "expected one",
             path=path,
             line=marked[1][0],
         )

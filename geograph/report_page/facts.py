@@ -234,7 +234,7 @@ def direction_sheet(results: Results) -> Sheet:
             marked.add(len(rows))
         rows.append(
             [
-                f"{float(time):.6g}" if isinstance(time, int | float) else "",
+                _seconds(time),
                 str(entry.get("name", "")).strip("()"),
                 length_text(float(sigma)) if isinstance(sigma, int | float) else "not determined",
                 "weak" if entry.get("weak") else "",
@@ -243,6 +243,11 @@ def direction_sheet(results: Results) -> Sheet:
     return Sheet(
         head=["time (s)>", "direction", "1 sigma>", ""], rows=rows, marked=frozenset(marked)
     )
+
+
+def _seconds(value: object) -> str:
+    """Return a time to the microsecond; the first emission's is often a rounding away from 0."""
+    return f"{round(float(value), 6) + 0.0:.9g}" if isinstance(value, int | float) else ""
 
 
 def hypothesis_sheet(results: Results) -> Sheet:
@@ -264,7 +269,7 @@ def hypothesis_sheet(results: Results) -> Sheet:
             [
                 number(entry.get("weight"), 3),
                 place,
-                number(entry.get("time_s"), 6),
+                _seconds(entry.get("time_s")),
                 length_text(float(sigma)) if isinstance(sigma, int | float) else "?",
             ]
         )

@@ -179,7 +179,9 @@ def clocks(results: Results, time_s: NDArray[np.float64]) -> list[str]:
     span = float(np.ptp(time_s))
     digits = 3 if span < 3600.0 else 0
     if epoch is None:
-        return [f"{value:.{max(digits, 1)}f} s" for value in time_s]
+        # Rounded and 0 added, lest the first is "-0.000 s".
+        digits = max(digits, 1)
+        return [f"{round(float(value), digits) + 0.0:.{digits}f} s" for value in time_s]
     instants = epoch + np.round(time_s * SECOND_NS).astype(np.int64)
     return [utc_text(int(value), digits).replace("T", " ") + " UTC" for value in instants]
 
