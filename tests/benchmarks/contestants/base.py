@@ -67,7 +67,7 @@ class Contestant(ABC):
     about: ClassVar[str]
     """In one line."""
 
-    too_slow: ClassVar[frozenset[str]] = frozenset()
+    too_slow: ClassVar[frozenset[str]] = frozenset({"huge"})
     """Sizes that are left out unless all are asked for."""
 
     same_cost: ClassVar[bool] = True
