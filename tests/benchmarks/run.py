@@ -20,7 +20,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from contestants import CONTESTANTS
-from measure import Measured
+from measure import CLOCKS, Measured
 from model import SIZES
 from page import markdown, put
 from picture import draw
@@ -43,6 +43,12 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--limit", type=float, default=200.0, help="seconds of a solve after which it is stopped"
     )
+    parser.add_argument(
+        "--clock",
+        choices=list(CLOCKS),
+        default="wall",
+        help="process: time of the processor, for ratios on a busy machine",
+    )
     parser.add_argument("--output", type=Path, default=Path("bench-output"))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--page", type=Path, help="a page whose figures are replaced")
@@ -63,14 +69,17 @@ def problem_file(folder: Path, size: str, seed: int) -> Path:
     return path
 
 
-def measured_alone(pass_file: Path, name: str, result_file: Path, limit_s: float) -> Measured | str:
+def measured_alone(
+    pass_file: Path, name: str, result_file: Path, *, limit_s: float, clock: str
+) -> Measured | str:
     """Measure a contestant in a process of its own; a string says why it has no result."""
     missing = CONTESTANTS[name].missing()
     if missing is not None:
-        return f"not installed: {missing}"
+        return f"not installed ({missing})"
     begun = result_file.with_suffix(".begun")
     begun.unlink(missing_ok=True)
     command = [sys.executable, str(HERE / "measure.py"), str(pass_file), name, str(result_file)]
+    command.append(clock)
     errors = result_file.with_suffix(".err")
     with errors.open("w", encoding="utf-8") as said:
         started = time.monotonic()
@@ -123,8 +132,13 @@ def measure_all(options: argparse.Namespace) -> Results:
             if size in CONTESTANTS[name].too_slow and not options.all:
                 results[size][name] = "left out; run with --all"
                 continue
+            if SIZES[size].emissions and CONTESTANTS[name].bearings_only:
+                results[size][name] = "bearings only"
+                continue
             result_file = options.output / f"{size}-{name}.json"
-            results[size][name] = measured_alone(pass_file, name, result_file, options.limit)
+            results[size][name] = measured_alone(
+                pass_file, name, result_file, limit_s=options.limit, clock=options.clock
+            )
         show(results, size)
     return results
 
@@ -133,7 +147,7 @@ def main() -> int:
     """Measure, print and save; return the exit status."""
     options = arguments()
     options.output.mkdir(parents=True, exist_ok=True)
-    around = surroundings()
+    around = surroundings() | {"clock": options.clock}
     print(", ".join(f"{name} {value}" for name, value in around.items()))
     print(
         "Medians; linear algebra on one thread. Memory: peak resident memory (getrusage) over that "
@@ -150,6 +164,7 @@ def main() -> int:
         "surroundings": around,
         "seed": options.seed,
         "limit_s": options.limit,
+        "clock": options.clock,
         "results": {
             size: {name: e if isinstance(e, str) else asdict(e) for name, e in entries.items()}
             for size, entries in results.items()

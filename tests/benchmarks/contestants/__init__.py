@@ -9,6 +9,7 @@ from contestants.base import Contestant, Estimate, Run, Stages
 from contestants.ceres import Ceres
 from contestants.engine import Engine
 from contestants.filter_py import FilterPy
+from contestants.gri import Gri
 from contestants.per_bearing import PerBearing
 from contestants.reference import Reference
 from contestants.sparse import LeastSquares, SparseGaussNewton
@@ -27,6 +28,7 @@ CONTESTANTS: dict[str, type[Contestant]] = {
         Symforce,
         StoneSoup,
         FilterPy,
+        Gri,
     )
 }
 """By name, ours first."""

@@ -73,6 +73,9 @@ class Contestant(ABC):
     same_cost: ClassVar[bool] = True
     """Whether it minimises the cost of the model (a filter, say, does not)."""
 
+    bearings_only: ClassVar[bool] = False
+    """Whether it can do nothing with arrivals and frequency differences."""
+
     @classmethod
     def missing(cls) -> str | None:
         """Return what has to be installed for it, or None."""

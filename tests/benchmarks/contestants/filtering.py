@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from model import Pass
     from numpy.typing import NDArray
 
-_OFF = np.repeat([5e3, 50.0, 1.0], 3)
+FIRST_GUESS_SIGMA = np.repeat([5e3, 50.0, 1.0], 3)
 """Sigmas of the first guess: m, m/s, m/s^2."""
 
 
@@ -50,7 +50,7 @@ class Filtering:
         self.size = self._width + errors
         self.turn, self.noise = np.eye(self.size), np.zeros((self.size, self.size))
         found = [table.at_nearest_knots() for table in tables(data)]
-        off = _OFF[: self._width].copy()
+        off = FIRST_GUESS_SIGMA[: self._width].copy()
         if np.isfinite(data.altitude_sigma_m):
             off[2] = data.altitude_sigma_m
         self.covariance = np.diag(np.concatenate([off / data.scale, np.ones(errors)]) ** 2)
