@@ -6,12 +6,30 @@ Another one is a module here with a subclass of :class:`Contestant`, entered in 
 from __future__ import annotations
 
 from contestants.base import Contestant, Estimate, Run, Stages
+from contestants.ceres import Ceres
 from contestants.engine import Engine
+from contestants.filter_py import FilterPy
+from contestants.gri import Gri
 from contestants.per_bearing import PerBearing
 from contestants.reference import Reference
+from contestants.sparse import LeastSquares, SparseGaussNewton
+from contestants.stone_soup import StoneSoup
+from contestants.symforced import Symforce
 
 CONTESTANTS: dict[str, type[Contestant]] = {
-    contestant.name: contestant for contestant in (Engine, Reference, PerBearing)
+    contestant.name: contestant
+    for contestant in (
+        Engine,
+        Reference,
+        PerBearing,
+        SparseGaussNewton,
+        LeastSquares,
+        Ceres,
+        Symforce,
+        StoneSoup,
+        FilterPy,
+        Gri,
+    )
 }
 """By name, ours first."""
 

@@ -67,11 +67,14 @@ class Contestant(ABC):
     about: ClassVar[str]
     """In one line."""
 
-    too_slow: ClassVar[frozenset[str]] = frozenset()
+    too_slow: ClassVar[frozenset[str]] = frozenset({"huge"})
     """Sizes that are left out unless all are asked for."""
 
     same_cost: ClassVar[bool] = True
     """Whether it minimises the cost of the model (a filter, say, does not)."""
+
+    bearings_only: ClassVar[bool] = False
+    """Whether it can do nothing with arrivals and frequency differences."""
 
     @classmethod
     def missing(cls) -> str | None:

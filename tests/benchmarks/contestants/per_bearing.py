@@ -3,7 +3,8 @@
 Given every advantage: scaled states, plain float arithmetic in the factor, all that does not change
 computed beforehand, native linear factors for the kinematics, the ordering that suits the chain,
 and the marginals that do not copy all values at every call. GTSAM's Gauss-Newton, QR, sequential
-elimination and other first dampings take as long within a tenth.
+elimination and other first dampings take as long within a tenth. Arrivals and differences are a
+factor an emission, in NumPy.
 """
 
 from __future__ import annotations
@@ -13,12 +14,16 @@ from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
-from model import ERRORS, ZENITH_ROUNDING, Pass, position_weights, transition, unit_noise_root
+from equations import ZENITH_ROUNDING, BearingTable, tables
+from model import Pass, path_weights, transition, unit_noise_root
 
 from contestants.base import TOLERANCE, Contestant, Estimate, Run, Stages
+from contestants.stacked import Stack
 from contestants.timing import seconds
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     Jacobians = list[NDArray[np.float64]] | None
@@ -94,7 +99,8 @@ def _bearing_factor(
     first, second = np.ascontiguousarray(chain[:, :9]), np.ascontiguousarray(chain[:, 9:])
     first_f, second_f = np.asfortranarray(first), np.asfortranarray(second)
     azimuth, elevation = float(data.azimuth_rad[index]), float(data.elevation_rad[index])
-    bias_az, bias_el, drift_az, drift_el = data.error_sigma.tolist()
+    bias_az, bias_el, drift_az, drift_el, *others = data.error_sigma.tolist()
+    unfelt = np.zeros((2, len(others)))
     drift_az, drift_el = drift_az * time, drift_el * time
     white = 1.0 / float(data.sigma_rad)
     measured2 = cos(elevation) ** 2 + ZENITH_ROUNDING**2
@@ -107,7 +113,7 @@ def _bearing_factor(
         dx, dy, dz = (
             first @ values.atVector(key_first) + second @ values.atVector(key_second)
         ).tolist()
-        b_az, b_el, d_az, d_el = values.atVector(key_sensor).tolist()
+        b_az, b_el, d_az, d_el = values.atVector(key_sensor).tolist()[:4]
         az = azimuth - b_az * bias_az - d_az * drift_az
         el = elevation - b_el * bias_el - d_el * drift_el
         x, y, z = start_x + dx, start_y + dy, start_z + dz
@@ -139,19 +145,57 @@ def _bearing_factor(
             az1 *= ratio
             jacobians[0] = by_position @ first_f
             jacobians[1] = by_position @ second_f
-            jacobians[2] = np.array(
+            by_sensor = np.array(
                 (
                     (az1 * bias_az, el1 * bias_el, az1 * drift_az, el1 * drift_el),
                     (az2 * bias_az, el2 * bias_el, az2 * drift_az, el2 * drift_el),
                 )
             )
+            jacobians[2] = np.hstack((by_sensor, unfelt)) if others else by_sensor
         return np.array((scaled * s1 * ratio, scaled * s2))
 
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(2), keys, error)
 
 
+def _stacked_factor(stack: Stack) -> gtsam.CustomFactor:
+    """Return the factor of one set of arrivals, or of the differences of one emission."""
+    keys = [gtsam.symbol(_KNOT, k) for k in stack.knots]
+    sensors = [gtsam.symbol(_SENSOR, s) for s in stack.sensors] if stack.errors else []
+
+    def error(
+        this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Jacobians
+    ) -> NDArray[np.float64]:
+        del this
+        residual, jacobian = stack.evaluate(
+            [values.atVector(key) for key in keys],
+            [values.atVector(key) for key in sensors],
+            derivatives=jacobians is not None,
+        )
+        if jacobians is not None:
+            ends = [stack.width] * len(keys) + [stack.errors] * len(sensors)
+            parts = np.split(jacobian, np.cumsum(ends)[:-1], axis=1)
+            for index, part in enumerate(parts):
+                jacobians[index] = np.asfortranarray(part)
+        return residual
+
+    unit = gtsam.noiseModel.Unit.Create(stack.rows)
+    return gtsam.CustomFactor(unit, [*keys, *sensors], error)
+
+
+def _other_factors(data: Pass) -> Iterator[gtsam.CustomFactor]:
+    for table in tables(data):
+        if isinstance(table, BearingTable):
+            continue
+        for index, before in enumerate(table.interval.tolist()):
+            knots = (before, before + 1) if data.knots_s.size > 1 else (before,)
+            part = [(table, np.array([index]))]
+            yield _stacked_factor(Stack(data, knots, part, measurements_only=True))
+
+
 def _kinematic_factors(data: Pass) -> list[gtsam.LinearContainerFactor]:
     """Return native factors w[k] = L^-1 (x[k+1] - F x[k]) of scaled deviations."""
+    if data.knots_s.size == 1:
+        return []
     steps = np.diff(data.knots_s)
     whiten = np.linalg.inv(unit_noise_root(steps)) / data.noise
     turn = transition(steps)
@@ -173,6 +217,12 @@ def _kinematic_factors(data: Pass) -> list[gtsam.LinearContainerFactor]:
     return factors
 
 
+def _prior(
+    key: int, mean: NDArray[np.float64], sigma: NDArray[np.float64]
+) -> gtsam.PriorFactorVector:
+    return gtsam.PriorFactorVector(key, mean, gtsam.noiseModel.Diagonal.Sigmas(sigma))
+
+
 class _PerBearingRun(Run):
     def __init__(self, data: Pass) -> None:
         self._data = data
@@ -183,21 +233,25 @@ class _PerBearingRun(Run):
             gtsam.Ordering(),
         )
         self._knots = [gtsam.symbol(_KNOT, k) for k in range(knots)]
-        self._sensors = [gtsam.symbol(_SENSOR, s) for s in range(sensors)]
         self._long = knots > _LONG
-        prior = gtsam.noiseModel.Diagonal.Sigmas(data.prior_sigma / data.scale)
-        graph.push_back(gtsam.PriorFactorVector(self._knots[0], np.zeros(9), prior))
-        unit = gtsam.noiseModel.Unit.Create(ERRORS)
+        width, errors = data.scale.size, data.error_sigma.size
+        self._sensors = [gtsam.symbol(_SENSOR, s) for s in range(sensors)] if errors else []
+        sigma = data.prior_sigma / data.scale
+        graph.push_back(_prior(self._knots[0], np.zeros(width), sigma))
+        if np.isfinite(data.altitude_sigma_m):
+            sigma = np.array([1e8, 1e8, float(data.altitude_sigma_m)]) / data.scale
+            mean = np.array([0.0, 0.0, -data.guess[0, 2]]) / data.scale
+            graph.push_back(_prior(self._knots[0], mean, sigma))
         for key in self._knots:
-            values.insert(key, np.zeros(9))
+            values.insert(key, np.zeros(width))
             ordering.push_back(key)
         for key in self._sensors:
-            values.insert(key, np.zeros(ERRORS))
+            values.insert(key, np.zeros(errors))
             ordering.push_back(key)
-            graph.push_back(gtsam.PriorFactorVector(key, np.zeros(ERRORS), unit))
-        for factor in _kinematic_factors(data):
+            graph.push_back(_prior(key, np.zeros(errors), np.ones(errors)))
+        for factor in [*_kinematic_factors(data), *_other_factors(data)]:
             graph.push_back(factor)
-        interval, weights = position_weights(data)
+        interval, weights, _ = path_weights(data.knots_s, data.time_s)
         for index in range(data.time_s.size):
             graph.push_back(_bearing_factor(data, index, int(interval[index]), weights[index]))
         self._graph, self._values, self._ordering = graph, values, ordering
@@ -213,10 +267,11 @@ class _PerBearingRun(Run):
         self._values = optimizer.optimize()
         data = self._data
         path = np.stack([self._values.atVector(key) for key in self._knots])
-        errors = np.stack([self._values.atVector(key) for key in self._sensors])
-        return Estimate(
-            data.guess + path * data.scale, errors * data.error_sigma, optimizer.iterations()
-        )
+        errors = np.zeros((data.sensor_m.shape[0], data.error_sigma.size))
+        if self._sensors:
+            scaled = np.stack([self._values.atVector(key) for key in self._sensors])
+            errors[:] = scaled * data.error_sigma
+        return Estimate(data.guess + path * data.scale, errors, optimizer.iterations())
 
     def marginals(self) -> NDArray[np.float64]:
         # gtsam.Marginals copies the values at every call and uses Cholesky, which throws here.
@@ -238,8 +293,7 @@ class PerBearing(Contestant):
     """One Python factor a bearing."""
 
     name = "gtsam-per-bearing"
-    about = "a lean Python factor per bearing, GTSAM's own Levenberg-Marquardt optimizer"
-    too_slow = frozenset({"large"})
+    about = "a lean Python factor a bearing, GTSAM's own Levenberg-Marquardt optimizer"
 
     def set_up(self, data: Pass) -> Run:
         return _PerBearingRun(data)
