@@ -145,6 +145,11 @@ class Factorisation(ABC):
     ) -> NDArray[np.float64]:
         """Return the increments of the noise w that belong to those of the unknowns."""
 
+    @property
+    def back(self) -> NDArray[np.float64]:
+        """Shape (K - 1, d, d + s + 1): x[k] = back (x[k+1], constants, 1) + what is free."""
+        return self._back
+
     def solve(self) -> Step:
         """Return the increments that minimise the (damped) linear model."""
         d = self.system.knot_size
@@ -202,11 +207,19 @@ class Elimination(Factorisation):
     damping
         Added to the information of every scaled unknown (Levenberg-Marquardt).
 
+    Attributes
+    ----------
+    inverse_roots, gain
+        As of :class:`geograph.sweep.Sweep`, of systems with more than one knot.
+
     Raises
     ------
     NotPositiveDefiniteError
         If the unknowns are not determined to working precision.
     """
+
+    inverse_roots: NDArray[np.float64]
+    gain: NDArray[np.float64]
 
     def __init__(self, system: LinearSystem, damping: float = 0.0) -> None:
         self.system = system
@@ -235,7 +248,7 @@ class Elimination(Factorisation):
                 noise_residual=system.noise_residual,
             )
             knot, other = found.knots[-1], other + found.shares.sum(axis=0)
-            self._inverse_roots, self._gain = found.inverse_roots, found.gain
+            self.inverse_roots, self.gain = found.inverse_roots, found.gain
             self._back, self._spread = found.back, found.spread
         else:
             knot = knot + system.blocks[0, :d]
@@ -252,14 +265,14 @@ class Elimination(Factorisation):
         self, knots: NDArray[np.float64], constants: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         d = self.system.knot_size
-        moved = np.matmul(self._gain[:, :, :d], knots[1:, :, None])[:, :, 0]
-        return np.asarray(-moved - self._gain[:, :, d:] @ np.append(constants, 1.0))
+        moved = np.matmul(self.gain[:, :, :d], knots[1:, :, None])[:, :, 0]
+        return np.asarray(-moved - self.gain[:, :, d:] @ np.append(constants, 1.0))
 
     def half_log_determinant(self) -> float:
         """Return half the log determinant of the information of (x[0], w, constants)."""
         value = float(np.sum(np.log(np.diagonal(self._final_root))))
         if self.system.knots > 1:
-            inverse = np.diagonal(self._inverse_roots, axis1=1, axis2=2)
+            inverse = np.diagonal(self.inverse_roots, axis1=1, axis2=2)
             value -= float(np.sum(np.log(inverse)))
         # From the last knot's coordinates to the first one's.
         _, log_inverse = np.linalg.slogdet(self._a)
