@@ -27,7 +27,7 @@ from geograph.robust import anneal, thresholds
 from geograph.solver import Solution, Status, solve
 from geograph.starts import choose_knots, first_fits, start
 from geograph.threads import single_blas_thread
-from geograph.tuning import tune_direction, tune_noise, tune_stages
+from geograph.tuning import solved_evidence, tune_direction, tune_noise, tune_stages
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -111,10 +111,15 @@ class Smoother:
         """Whether outliers are to be found and rejected."""
         return self.settings.loss in ("auto", "gnc")
 
+    @property
+    def automatic(self) -> bool:
+        """Whether the process noise is to be found."""
+        return self.settings.process_noise == "auto" and self.settings.motion != "static"
+
     def run(self) -> None:
         """Solve from every first guess, keep the best, and refine it."""
         settings = self.settings
-        automatic = settings.process_noise == "auto" and settings.motion != "static"
+        automatic = self.automatic
         loss = Loss("none" if self.robust else settings.loss)
         trial = Loss("cauchy") if self.robust else loss
         fits = first_fits(
@@ -153,7 +158,7 @@ class Smoother:
         most = self.settings.max_iterations
         solution = self._solve(problem, values, min(limit or most, most))
         self.attempts.append(Attempt(fit, problem, solution, self.resolution))
-        self.attempts.sort(key=lambda attempt: _rank(attempt.solution))
+        self.attempts.sort(key=_likely if self.automatic else _rank)
 
     def _misfit(self, attempt: Attempt) -> bool:
         """Tell whether most measurements are well beyond their sigmas from an attempt's path."""
@@ -391,8 +396,19 @@ def sensor_families(problem: Problem) -> list[SensorFamily]:
     return [family for family in problem.families if isinstance(family, SensorFamily)]
 
 
-def _rank(solution: Solution) -> float:
-    return solution.cost if np.isfinite(solution.cost) else float("inf")
+def _rank(attempt: Attempt) -> float:
+    cost = attempt.solution.cost
+    return cost if np.isfinite(cost) else float("inf")
+
+
+def _likely(attempt: Attempt) -> tuple[float, float]:
+    """Return what ranks attempts whose process noises are guesses, which differ.
+
+    The least cost alone would choose the guess of the largest noise.
+    """
+    # The first knot's density in SI units, for the attempts' scales differ.
+    unit = float(np.log(attempt.problem.path_scale).sum())
+    return -solved_evidence(attempt.solution) - unit, _rank(attempt)
 
 
 def smooth(

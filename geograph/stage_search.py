@@ -1,23 +1,26 @@
 """Where the process noise changes: pieces of time found by their evidence.
 
-Intervals between knots, or a few of them together, are the grain. From one stage for the whole
-path on, every stage is asked for the window inside of it whose noise differs most: with the score g and the Fisher information I
-of the window's log variance, freed of the rest of the stage (efficient score), the expected gain of
-evidence is I (r - 1 - ln r), r = 1 + g / I, which is exact where I is half the number of squares
-that were seen. The best window of each stage is then tried: the levels are set to the greatest
-evidence, and it stays if the evidence rises by more than
+Intervals between knots, or a few of them together, are the grain. From one stage for the whole path
+on, every stage is asked for the window inside of it whose noise differs most: with the score g and
+the Fisher information I of the window's log variance, freed of the rest of the stage (efficient
+score), the expected gain of evidence is
 
-    chi-square quantile(1 - a / N; new levels) / 2
+    I (r - 1 - ln r),    r = 1 + g / I,
 
-with a = 1 %, N = n (n + 1) / 2 windows among n grains (Bonferroni). Then ends move to where the
-evidence is greatest, and stages that no longer pay are taken out. A window at one end of its stage
-is a single change; one inside of it is a burst, which is also what a jump of the highest derivative
-looks like.
+which is exact where I is half the number of squares that were seen. The best window of each stage
+is then tried: its levels are set to the greatest evidence, and it stays if that rises by more than
 
-Sources: score and window scan after A. W. Davis, J. de Jong, J. Penzer, *Diagnosing shocks in time
-series*, JASA 93, 1998 (shocks from a smoother's own output); binary segmentation with windows after
-A. B. Olshen, E. S. Venkatraman, R. Lucito, M. Wigler, *Circular binary segmentation*, Biostatistics
-5, 2004.
+    1/2 quantile of chi-square(1 - a / N; new levels)
+
+with a = 1 % and the N = n (n + 1) / 2 windows among n grains (Bonferroni). Then the ends move to
+where the evidence is greatest, and stages that no longer pay are taken out. A window at one end of
+its stage is a single change; one inside of it is a burst, which is also what a jump of the highest
+derivative looks like.
+
+Sources: shocks from a smoother's own output after P. de Jong, J. Penzer, *Diagnosing shocks in time
+series*, JASA 93, 1998; binary segmentation with windows after A. B. Olshen, E. S. Venkatraman, R.
+Lucito, M. Wigler, *Circular binary segmentation for the analysis of array-based DNA copy number
+data*, Biostatistics 5, 2004.
 """
 
 from __future__ import annotations

@@ -122,8 +122,9 @@ def start(
         noise = guess_noise(fit, order, resolved)
     density = Density.of(noise, settings.process_noise_along)
     motion = Motion(settings.motion, density, prepared.recording.frame)
-    given = isinstance(settings.stages, tuple) and not motion.static
-    stages = Stages.of(settings.stages) if given else None
+    stages = None
+    if isinstance(settings.stages, tuple) and not motion.static:
+        stages = Stages.of(settings.stages)
     knots = choose_knots(
         prepared,
         settings,

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from geograph.smoother import Smoother
     from geograph.solver import Solution
 
-FALSE_ALARM = 0.001
+FALSE_ALARM = 1e-3
 """Chance that noise alike in all directions is taken to follow the velocity."""
 
 _ROUNDS = 4

@@ -18,6 +18,7 @@ from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotati
     ProcessNoiseAlong,
     Scheduler,
     Spacing,
+    StagesOption,
 )
 from geograph.cli.simulate_command import Changes  # noqa: TC001 - typer evaluates the annotations
 
@@ -59,6 +60,7 @@ def montecarlo(
     motion: Motion = None,
     process_noise: ProcessNoise = None,
     process_noise_along: ProcessNoiseAlong = None,
+    stages: StagesOption = None,
     spacing: Spacing = None,
     loss: Loss = None,
     max_iterations: MaxIterations = None,
@@ -84,6 +86,7 @@ def montecarlo(
                 "motion": motion,
                 "process_noise": process_noise,
                 "process_noise_along": process_noise_along,
+                "stages": stages,
                 "spacing_s": spacing,
                 "loss": loss,
                 "max_iterations": max_iterations,
