@@ -195,7 +195,7 @@ def bound_map(
         extent = _extent(given, path) if extent_m is None else extent_m
         line = (np.arange(cells) - 0.5 * (cells - 1)) * extent / cells
         position = _grid(middle, line, given.frame)
-        fixed = chosen.replace(motion="static", process_noise="auto", process_noise_along=None)
+        fixed = chosen.replace(motion="static", process_noise="auto", stages=None)
         terrain, above = given.terrain, ground_height(given.constraints)
         known = np.ones(position.shape[:2], dtype=np.bool_)
         if terrain is not None and above is not None:

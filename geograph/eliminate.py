@@ -145,6 +145,11 @@ class Factorisation(ABC):
     def _decrease(self, knots: NDArray[np.float64], constants: NDArray[np.float64]) -> float:
         """Return the decrease of the cost that the linear model predicts for the solution."""
 
+    @property
+    def back(self) -> NDArray[np.float64]:
+        """Shape (K - 1, d, d + s + 1): x[k] = back (x[k+1], constants, 1) + what is free."""
+        return self._back
+
     def solve(self) -> Step:
         """Return the increments that minimise the (damped) linear model."""
         d = self.system.knot_size
@@ -177,6 +182,14 @@ class Elimination(Factorisation):
         What is factorised.
     damping
         Added to the information of every scaled unknown (Levenberg-Marquardt).
+    noise
+        Whether what the posterior says of the noise itself is kept.
+
+    Attributes
+    ----------
+    inverse_roots, gain
+        As of :class:`geograph.sweep.Sweep`, of systems with more than one knot, where the noise was
+        asked for.
 
     Raises
     ------
@@ -184,7 +197,10 @@ class Elimination(Factorisation):
         If the unknowns are not determined to working precision.
     """
 
-    def __init__(self, system: LinearSystem, damping: float = 0.0) -> None:
+    inverse_roots: NDArray[np.float64]
+    gain: NDArray[np.float64]
+
+    def __init__(self, system: LinearSystem, damping: float = 0.0, *, noise: bool = False) -> None:
         self.system = system
         self.damping = damping
         d = system.knot_size
@@ -207,8 +223,10 @@ class Elimination(Factorisation):
                 noise_residual=system.noise_residual,
                 damping=damping,
                 ends=True,
+                noise=noise,
             )
             knot, other = found.knots[0], other + found.shares[0]
+            self.inverse_roots, self.gain = found.inverse_roots, found.gain
             self._back, self._spread = found.back, found.spread
             self._half_log, self._square = found.half_log, found.square
         else:

@@ -201,13 +201,14 @@ def _transition_factors(problem: Problem, origin: Values) -> Iterator[gtsam.Nonl
             both = np.stack(vectors)
             path = origin.path[k : k + 2] + both[:, :m] * problem.path_scale
             found = problem.motion.transitions(path, np.array([step]))
+            times = 1.0 if problem.noise_times is None else problem.noise_times[k]
             whiten = np.linalg.inv(roots[k])
             walk = whiten @ (both[1, m:] - chain[k] @ both[0, m:])
-            value = np.concatenate([found.residual[0], walk])
+            value = np.concatenate([found.residual[0] / times, walk])
             if not jacobian:
                 return value, []
             by_second = np.zeros((d, d))
-            by_second[:m, :m] = np.linalg.inv(found.noise_root[0]) * problem.path_scale
+            by_second[:m, :m] = np.linalg.inv(times * found.noise_root[0]) * problem.path_scale
             by_second[m:, m:] = whiten
             scaled = found.transition[0] * problem.path_scale / problem.path_scale[:, None]
             by_first = np.zeros((d, d))

@@ -131,12 +131,29 @@ def automatic_spacing(
 
 
 def add_path_noise(
-    family: SensorFamily, motion: Motion, path: Path, times_s: NDArray[np.float64]
+    family: SensorFamily,
+    motion: Motion,
+    path: Path,
+    times_s: NDArray[np.float64],
+    noise_times: NDArray[np.float64] | None = None,
 ) -> None:
-    """Make noise to the sensors of what the path does between knots that are wide apart."""
+    """Make noise to the sensors of what the path does between knots that are wide apart.
+
+    Parameters
+    ----------
+    family
+        Changed in place.
+    motion, path
+        Of the object.
+    times_s
+        Shape (n,): of emission.
+    noise_times
+        Shape (K - 1,): multiples of the motion's noise in every interval, or None.
+    """
     place = path.locate(times_s)
     between = conditional_covariance(motion.order, place.step_s, place.offset_s)
-    largest = motion.density.largest
+    times = 1.0 if noise_times is None else noise_times[place.interval]
+    largest = motion.density.largest * times
     family.path_noise_m = largest * np.sqrt(between[:, 0, 0])
     if motion.order > 1:
         family.path_noise_m_s = largest * np.sqrt(between[:, 1, 1])

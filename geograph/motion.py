@@ -158,6 +158,10 @@ class Motion:
         """Return the same motion with other noise."""
         return Motion(self.name, density, self.frame)
 
+    def scaled(self, factor: float) -> Motion:
+        """Return the same motion with its noise multiplied."""
+        return self.with_density(self.density.scaled(factor))
+
     def path(self, knots_s: NDArray[np.float64]) -> Path:
         """Return the path of this motion over given knots, shape (K,)."""
         if self.ballistic:

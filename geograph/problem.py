@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from geograph.families import Evaluation, Family, Values
     from geograph.motion import Motion
     from geograph.recording import EliminationName
+    from geograph.stages import Stages
     from geograph.states import SensorStates
     from geograph.time_shift import TimeShift
 
@@ -74,6 +75,8 @@ class Problem:
         ``"structured"`` or ``"gtsam"``: who factorises the linear systems.
     shift
         A shift in time that is held at its optimum, or None.
+    stages
+        Multiples of the motion's noise over time, or None.
     """
 
     def __init__(
@@ -90,6 +93,7 @@ class Problem:
         weights: Sequence[NDArray[np.float64] | None] | None = None,
         elimination: EliminationName = "structured",
         shift: TimeShift | None = None,
+        stages: Stages | None = None,
     ) -> None:
         self.motion = motion
         self.knots_s = knots_s
@@ -103,7 +107,9 @@ class Problem:
         self.weights = list(weights) if weights is not None else [None] * len(self.families)
         self.elimination: EliminationName = elimination
         self.shift = shift
+        self.stages = stages
         self.steps_s = np.diff(knots_s)
+        self.noise_times = None if stages is None else stages.over(knots_s)
         self.layout = ColumnLayout(
             3 * motion.order, walk_scale.size, states.size, chained=knots_s.size > 1
         )
@@ -123,6 +129,10 @@ class Problem:
         """Return the problem with other process noise, sharing all else."""
         return self._copy(motion=motion)
 
+    def with_stages(self, motion: Motion, stages: Stages | None) -> Problem:
+        """Return the problem with other process noise and other stages, sharing all else."""
+        return self._copy(motion=motion, stages=stages)
+
     def without_shift(self) -> Problem:
         """Return the problem with the clocks' common time left free, sharing all else."""
         return self if self.shift is None else self._copy(shift=None)
@@ -140,6 +150,7 @@ class Problem:
             "weights": self.weights,
             "elimination": self.elimination,
             "shift": self.shift,
+            "stages": self.stages,
         }
         return Problem(**(arguments | changes))  # type: ignore[arg-type]
 
@@ -216,6 +227,8 @@ class Problem:
             return np.zeros((0, self.layout.knot))
         if path_residual is None:
             path_residual = self.motion.residual(values.path, self.steps_s)
+        if self.noise_times is not None:
+            path_residual = path_residual / self.noise_times[:, None]
         if not values.walks.shape[1]:
             return path_residual
         return np.concatenate([path_residual, chain_noise(values.walks, *self._chains)], axis=1)
@@ -250,6 +263,26 @@ class Problem:
             by=self._factorisation(),
         )
 
+    def with_transitions(self, system: LinearSystem, values: Values) -> LinearSystem:
+        """Return a linear system with the process noise of this problem.
+
+        Parameters
+        ----------
+        system
+            Of a problem that differs in its process noise alone.
+        values
+            Where that was linearised.
+        """
+        inverse, root, residual = self._transitions(values)
+        change = np.sum(residual**2) - np.sum(system.noise_residual**2)
+        return replace(
+            system,
+            inverse_transition=inverse,
+            noise_root=root,
+            noise_residual=residual,
+            cost=system.cost + 0.5 * float(change),
+        )
+
     def _factorisation(self) -> type[Factorisation] | None:
         if self.elimination == "structured":
             return None
@@ -273,6 +306,8 @@ class Problem:
         root = np.zeros((count, d, d))
         inverse[:, :m, :m] = found.inverse
         root[:, :m, :m] = found.noise_root
+        if self.noise_times is not None:
+            root[:, :m, :m] *= self.noise_times[:, None, None]
         matrix, noise = self._chains
         inverse[:, m:, m:] = inverse_stack(matrix)
         root[:, m:, m:] = noise

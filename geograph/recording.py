@@ -13,6 +13,7 @@ import numpy as np
 
 from geograph.constants import SPEED_OF_LIGHT_M_S
 from geograph.errors import InputError
+from geograph.stages import check_stages
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -57,9 +58,16 @@ class SmoothSettings:
         Square root of the spectral density of the white noise that drives the motion, SI: on
         velocity (m/s^0.5) for constant-position, on acceleration (m/s^1.5) for constant-velocity,
         ballistic and orbital, on jerk (m/s^2.5) for constant-acceleration. ``"auto"``: the value of
-        greatest marginal likelihood. Three numbers: one for each axis of the frame.
+        greatest marginal likelihood, and a second one along the velocity where the evidence asks
+        for it. Three numbers: one for each axis of the frame.
     process_noise_along
-        The same along the velocity; ``process_noise`` is then that across it. None: isotropic.
+        The same along the velocity; ``process_noise`` is then that across it. None: isotropic,
+        unless ``process_noise`` is ``"auto"``.
+    stages
+        Pieces of time in which the noise differs, by the same multiple in all directions. None: it
+        does not. ``"auto"``: they are found, and with them how many there are (docs/models.md).
+        Or pairs (from_s, times) in the order of time: from then on the noise is so many times
+        ``process_noise``; before the first it is ``process_noise``.
     spacing_s
         Time between knots; None: chosen from the noise (docs/models.md).
     loss
@@ -80,6 +88,7 @@ class SmoothSettings:
     motion: MotionName = "constant-acceleration"
     process_noise: float | tuple[float, float, float] | Literal["auto"] = "auto"
     process_noise_along: float | None = None
+    stages: tuple[tuple[float, float], ...] | Literal["auto"] | None = None
     spacing_s: float | None = None
     loss: LossName = "auto"
     max_iterations: int = 500
@@ -103,6 +112,7 @@ class SmoothSettings:
                 column="elimination",
             )
         self._check_noise()
+        check_stages(self.stages)
         if self.spacing_s is not None and not _positive(self.spacing_s):
             raise InputError(
                 f"spacing_s is {self.spacing_s}; expected a finite number above 0 (seconds)",
@@ -130,6 +140,12 @@ class SmoothSettings:
         along = self.process_noise_along
         if along is None:
             return
+        if noise == "auto":
+            raise InputError(
+                'process_noise_along is given beside process_noise = "auto", which finds it too; '
+                "expected one of the two",
+                column="process_noise_along",
+            )
         if not _positive(along):
             raise InputError(
                 f"process_noise_along is {along}; expected a finite number above 0",
@@ -151,6 +167,9 @@ class SmoothSettings:
                     f"unknown setting {name!r}; expected one of " + ", ".join(sorted(names)),
                     column=name,
                 )
+        if changes.get("process_noise") == "auto":
+            # Found along the velocity as well.
+            changes = {"process_noise_along": None} | changes
         return dataclasses.replace(self, **changes)
 
 

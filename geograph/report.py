@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from geograph.families import Evaluation, SensorFamily
+    from geograph.problem import Problem
     from geograph.smoother import Smoother
 
 _FLAG_SIGMAS = 3.0
@@ -115,6 +116,10 @@ def _resolved(smoother: Smoother) -> Any:
     changes: dict[str, Any] = {}
     if settings.process_noise == "auto" and not motion.static:
         changes["process_noise"] = motion.density.axes[0]
+        changes["process_noise_along"] = motion.density.along
+    stages = smoother.problem.stages
+    if settings.stages == "auto":
+        changes["stages"] = None if stages is None else stages.pairs()
     if knots.size > 1:
         changes["spacing_s"] = float(np.median(np.diff(knots)))
     return settings.replace(**changes)
@@ -252,12 +257,35 @@ def _summary(
         "motion": problem.motion.name,
         "process_noise": None if problem.motion.static else list(noise.axes),
         "process_noise_along": noise.along,
+        "stages": _stages(problem),
         "loss": smoother.settings.loss,
         "knots": int(problem.knots_s.size),
         "spacing_s": track.settings.spacing_s,
         "interpolation": _interpolation(smoother),
         "first_guess": _guesses(smoother),
     }
+
+
+def _stages(problem: Problem) -> list[dict[str, Any]]:
+    """Return the process noise of every stage, if there are several."""
+    stages = problem.stages
+    if stages is None:
+        return []
+    low, high = float(problem.knots_s[0]), float(problem.knots_s[-1])
+    edges = np.clip(np.concatenate([[low], stages.from_s, [high]]), low, high)
+    found = []
+    for first, last, times in zip(edges[:-1], edges[1:], stages.times.tolist(), strict=True):
+        noise = problem.motion.density.scaled(times)
+        if last > first:
+            found.append(
+                {
+                    "from_s": float(first),
+                    "to_s": float(last),
+                    "process_noise": list(noise.axes),
+                    "process_noise_along": noise.along,
+                }
+            )
+    return found
 
 
 def _unknown_ground(smoother: Smoother) -> list[str]:

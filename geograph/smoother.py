@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from geograph import chi_square
 from geograph.culprits import other_culprits
@@ -19,10 +18,8 @@ from geograph.errors import SolveError
 from geograph.families import SensorFamily, Values
 from geograph.knots import NEGLIGIBLE, add_path_noise, ignored_share
 from geograph.losses import Loss
-from geograph.motion import Density
 from geograph.prepare import Prepared, prepare
 from geograph.problem import Problem
-from geograph.process_noise import least_noise
 from geograph.range_retries import further_fits
 from geograph.report import make_track
 from geograph.rivals import Attempt, Rival, find_rivals
@@ -30,6 +27,7 @@ from geograph.robust import anneal, thresholds
 from geograph.solver import Solution, Status, solve
 from geograph.starts import choose_knots, first_fits, start
 from geograph.threads import single_blas_thread
+from geograph.tuning import solved_evidence, tune_direction, tune_noise, tune_stages
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,7 +35,6 @@ if TYPE_CHECKING:
     from geograph.hypotheses import Hypothesis
     from geograph.initialise import PathFit
     from geograph.knots import Resolution
-    from geograph.motion import Motion
     from geograph.recording import Recording, SmoothSettings
     from geograph.track import Track
 
@@ -63,6 +60,8 @@ class Smoother:
         As asked for.
     problem, solution
         The latest.
+    resolution
+        What the measurements resolve.
     iterations
         Levenberg-Marquardt iterations so far.
     rejected
@@ -87,7 +86,7 @@ class Smoother:
     settings: SmoothSettings
     problem: Problem = field(init=False)
     solution: Solution = field(init=False)
-    _resolution: Resolution = field(init=False)
+    resolution: Resolution = field(init=False)
     iterations: int = 0
     rejected: NDArray[np.bool_] = field(init=False)
     attempts: list[Attempt] = field(default_factory=list)
@@ -112,10 +111,15 @@ class Smoother:
         """Whether outliers are to be found and rejected."""
         return self.settings.loss in ("auto", "gnc")
 
+    @property
+    def automatic(self) -> bool:
+        """Whether the process noise is to be found."""
+        return self.settings.process_noise == "auto" and self.settings.motion != "static"
+
     def run(self) -> None:
         """Solve from every first guess, keep the best, and refine it."""
         settings = self.settings
-        automatic = settings.process_noise == "auto" and settings.motion != "static"
+        automatic = self.automatic
         loss = Loss("none" if self.robust else settings.loss)
         trial = Loss("cauchy") if self.robust else loss
         fits = first_fits(
@@ -133,15 +137,18 @@ class Smoother:
         for fit in further_fits(self.prepared, best, misfit=self._misfit(best)):
             self._attempt(fit, *self.start(fit, best.problem.loss), _TRIAL_ITERATIONS)
             several, best = True, self.attempts[0]
-        self.problem, self.solution, self._resolution = best.problem, best.solution, best.resolution
+        self.problem, self.solution, self.resolution = best.problem, best.solution, best.resolution
         if self.solution.status is Status.ITERATION_LIMIT and several:
-            self._change(self.problem)
+            self.change(self.problem)
         if automatic:
-            self._tune_noise(4.0)
+            tune_noise(self, 4.0)
         if self.robust:
             self._reject(trial)
         if automatic:
-            self._tune_noise(1.0)
+            tune_noise(self, 1.0)
+            tune_direction(self)
+        if settings.stages == "auto":
+            tune_stages(self)
         self._settle()
         self._compare()
         self.culprits = other_culprits(self)
@@ -150,8 +157,8 @@ class Smoother:
         """Solve from a first guess; attempts stay in order of their costs."""
         most = self.settings.max_iterations
         solution = self._solve(problem, values, min(limit or most, most))
-        self.attempts.append(Attempt(fit, problem, solution, self._resolution))
-        self.attempts.sort(key=lambda attempt: _rank(attempt.solution))
+        self.attempts.append(Attempt(fit, problem, solution, self.resolution))
+        self.attempts.sort(key=_likely if self.automatic else _rank)
 
     def _misfit(self, attempt: Attempt) -> bool:
         """Tell whether most measurements are well beyond their sigmas from an attempt's path."""
@@ -186,7 +193,7 @@ class Smoother:
 
     def start(self, fit: PathFit, loss: Loss) -> tuple[Problem, Values]:
         """Return the problem and the values that a first guess leads to."""
-        problem, values, self._resolution = start(self.prepared, self.settings, fit, loss)
+        problem, values, self.resolution = start(self.prepared, self.settings, fit, loss)
         return problem, values
 
     def _solve(self, problem: Problem, values: Values, limit: int | None = None) -> Solution:
@@ -195,7 +202,7 @@ class Smoother:
         self.iterations += solution.iterations
         return solution
 
-    def _change(self, problem: Problem) -> None:
+    def change(self, problem: Problem) -> None:
         """Solve a changed problem from the current estimate."""
         self.problem = problem
         self.solution = self._solve(problem, self.solution.values)
@@ -242,11 +249,11 @@ class Smoother:
             if (square <= thresholds(np.zeros_like(square), rows, group)).all():
                 return
             # From the robust estimate, where outliers stand out and good sensors do not suffer.
-            self._change(self.problem.with_weights(self.problem.weights, trial))
+            self.change(self.problem.with_weights(self.problem.weights, trial))
             square = self.squares(self.problem, self.solution.values)
 
         def solved(weight: NDArray[np.float64]) -> NDArray[np.float64]:
-            self._change(plain.with_weights(self.weights(weight)))
+            self.change(plain.with_weights(self.weights(weight)))
             return self.squares(self.problem, self.solution.values)
 
         before = self.solution
@@ -257,46 +264,13 @@ class Smoother:
             # measurements are wrong cannot be told from them.
             self.undecided = True
             self.problem, self.solution = plain.with_weights(self.weights(None), trial), before
-            self._change(self.problem)
+            self.change(self.problem)
             return
         self.rejected = ~kept
         weight = kept.astype(np.float64) if self.rejected.any() else None
-        self._change(plain.with_weights(self.weights(weight)))
+        self.change(plain.with_weights(self.weights(weight)))
 
-    def _tune_noise(self, decades: float) -> None:
-        """Set the process noise to the value of greatest marginal likelihood."""
-        order = self.problem.motion.order
-        least = least_noise(order, self._resolution)
-        for _ in range(3):
-            centre = self.problem.motion.density.axes[0]
-            low = np.log(max(centre * 10.0**-decades, least))
-            high = max(np.log(centre * 10.0**decades), low + 1.0)
-            best = minimize_scalar(
-                self._negative_evidence, bounds=(low, high), method="bounded",
-                options={"xatol": 0.05, "maxiter": 30},
-            )  # fmt: skip
-            noise = float(np.exp(best.x))
-            self._change(self.problem.with_motion(self._motion(noise)))
-            self._respace()
-            if 0.5 < noise / centre < 2.0:
-                break
-            decades = min(decades, 2.0)
-
-    def _motion(self, noise: float) -> Motion:
-        return self.problem.motion.with_density(Density.of(noise))
-
-    def _negative_evidence(self, log_noise: float) -> float:
-        """Return the negative log marginal likelihood (Laplace), up to a constant."""
-        problem = self.problem.with_motion(self._motion(float(np.exp(log_noise))))
-        solution = solve(problem, self.solution.values, max_iterations=20, tolerance=1e-4)
-        self.iterations += solution.iterations
-        if solution.elimination is None or not np.isfinite(solution.cost):
-            return float("inf")
-        if solution.status is Status.CONVERGED:
-            self.solution = solution
-        return solution.cost + solution.elimination.half_log_determinant()
-
-    def _respace(self) -> None:
+    def respace(self) -> None:
         """Put the knots where the present estimate and process noise want them."""
         _, times = self.emissions()
         knots = choose_knots(
@@ -304,7 +278,8 @@ class Smoother:
             self.settings,
             self.problem.motion,
             times_s=times,
-            resolved=self._resolution,
+            resolved=self.resolution,
+            stages=self.problem.stages,
         )
         old = self.problem.knots_s
         if old.size == knots.size and np.abs(old - knots).max() < 0.01 * np.diff(old).min():
@@ -325,6 +300,7 @@ class Smoother:
             weights=weights,
             elimination=problem.elimination,
             shift=problem.shift,
+            stages=problem.stages,
         )
         self._refresh(values)
         self.solution = self._solve(self.problem, values)
@@ -345,13 +321,26 @@ class Smoother:
         steps = self.problem.steps_s
         self.ignored = 0.0
         if steps.size:
-            self.ignored = ignored_share(motion, float(steps.max()), self._resolution)
+            self.ignored = self._ignored_share(steps)
         if self.settings.spacing_s is not None and self.ignored > NEGLIGIBLE:
             # Knots wider than the noise allows: what lies between them is noise to the sensors.
             for family in self.families:
                 _, times = family.emissions(self.problem.path, values)
-                add_path_noise(family, motion, self.problem.path, times)
+                times_of = self.problem.noise_times
+                add_path_noise(family, motion, self.problem.path, times, times_of)
         self.problem.refresh(values)
+
+    def _ignored_share(self, steps_s: NDArray[np.float64]) -> float:
+        """Return the share of the information that lies between the knots, where it is largest."""
+        motion, times = self.problem.motion, self.problem.noise_times
+        if times is None:
+            return ignored_share(motion, float(steps_s.max()), self.resolution)
+        return max(
+            ignored_share(
+                motion.scaled(value), float(steps_s[times == value].max()), self.resolution
+            )
+            for value in np.unique(times).tolist()
+        )
 
     def _settle(self) -> None:
         """Solve until what a solve holds fixed agrees with its result."""
@@ -368,7 +357,7 @@ class Smoother:
             if knots.size > 1:
                 slack = 0.05 * float(np.diff(knots).min())
                 if times.min() < knots[0] - slack or times.max() > knots[-1] + slack:
-                    self._respace()
+                    self.respace()
                     continue
             self._refresh(before)
             cost = self.problem.cost(before)
@@ -407,8 +396,19 @@ def sensor_families(problem: Problem) -> list[SensorFamily]:
     return [family for family in problem.families if isinstance(family, SensorFamily)]
 
 
-def _rank(solution: Solution) -> float:
-    return solution.cost if np.isfinite(solution.cost) else float("inf")
+def _rank(attempt: Attempt) -> float:
+    cost = attempt.solution.cost
+    return cost if np.isfinite(cost) else float("inf")
+
+
+def _likely(attempt: Attempt) -> tuple[float, float]:
+    """Return what ranks attempts whose process noises are guesses, which differ.
+
+    The least cost alone would choose the guess of the largest noise.
+    """
+    # The first knot's density in SI units, for the attempts' scales differ.
+    unit = float(np.log(attempt.problem.path_scale).sum())
+    return -solved_evidence(attempt.solution) - unit, _rank(attempt)
 
 
 def smooth(

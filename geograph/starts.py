@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from geograph.knots import Resolution, automatic_spacing, check_memory, place_kn
 from geograph.motion import Density, Motion
 from geograph.problem import PathPrior, Problem
 from geograph.process_noise import guess_noise
+from geograph.stages import Stages
 from geograph.states import CLOCK, ELEVATION, MISALIGNMENT, POSITION
 from geograph.terrain_starts import ground_height, levelled, terrain_fits
 
@@ -120,8 +122,16 @@ def start(
         noise = guess_noise(fit, order, resolved)
     density = Density.of(noise, settings.process_noise_along)
     motion = Motion(settings.motion, density, prepared.recording.frame)
+    stages = None
+    if isinstance(settings.stages, tuple) and not motion.static:
+        stages = Stages.of(settings.stages)
     knots = choose_knots(
-        prepared, settings, motion, times_s=_emission_times(prepared, fit), resolved=resolved
+        prepared,
+        settings,
+        motion,
+        times_s=_emission_times(prepared, fit),
+        resolved=resolved,
+        stages=stages,
     )
     state = fit.state(knots, order)
     span = prepared.span_s
@@ -145,6 +155,7 @@ def start(
         loss=loss,
         elimination=settings.elimination,
         shift=None if motion.static else prepared.shift,
+        stages=stages,
     )
     values = Values(state, np.zeros((knots.size, states.chains)), constants)
     problem.refresh(values)
@@ -193,8 +204,11 @@ def choose_knots(
     *,
     times_s: NDArray[np.float64],
     resolved: Resolution,
+    stages: Stages | None = None,
 ) -> NDArray[np.float64]:
     """Return the knots' times, shape (K,), for given times of emission.
+
+    Where a stage begins there is a knot, and each has the spacing that its noise asks for.
 
     Parameters
     ----------
@@ -208,11 +222,36 @@ def choose_knots(
         Shape (n,).
     resolved
         What the measurements resolve.
+    stages
+        Multiples of the noise over time.
     """
     states = prepared.states
     if motion.static and not states.chains:
         return np.array([0.5 * (times_s.min() + times_s.max())])
     times = np.concatenate([times_s, prepared.fix_times()])
+    if stages is None:
+        return _even_knots(prepared, settings, motion, times, resolved)
+    low, high = float(times.min()), float(times.max())
+    inner = stages.from_s[(stages.from_s > low) & (stages.from_s < high)]
+    edges = np.concatenate([[low], inner, [high]])
+    found = []
+    for first, last in pairwise(edges.tolist()):
+        own = motion.scaled(float(stages.at(np.array([0.5 * (first + last)]))[0]))
+        within = times[(times > first) & (times < last)]
+        part = np.concatenate([[first], within, [last]])
+        found.append(_even_knots(prepared, settings, own, part, resolved)[:-1])
+    return np.concatenate([*found, [high]])
+
+
+def _even_knots(
+    prepared: Prepared,
+    settings: SmoothSettings,
+    motion: Motion,
+    times: NDArray[np.float64],
+    resolved: Resolution,
+) -> NDArray[np.float64]:
+    """Return knots that cover some times, all for the same noise."""
+    states = prepared.states
     spacing = settings.spacing_s
     automatic = spacing is None
     if spacing is None:

@@ -65,6 +65,10 @@ class Sweep:
         Half the log determinant of the information of the noises.
     square
         Twice the decrease of the cost that the noises' steps give.
+    inverse_roots
+        Shape (n, d, d): inverses of the factors of the noises' information; empty unless asked for.
+    gain
+        Shape (n, d, d + s + 1): w = -gain (x[k+1], constants, 1); empty unless asked for.
     """
 
     knots: NDArray[np.float64]
@@ -73,6 +77,8 @@ class Sweep:
     spread: NDArray[np.float64]
     half_log: float
     square: float
+    inverse_roots: NDArray[np.float64]
+    gain: NDArray[np.float64]
 
 
 def sweep(
@@ -84,6 +90,7 @@ def sweep(
     noise_residual: NDArray[np.float64],
     damping: float = 0.0,
     ends: bool = False,
+    noise: bool = False,
 ) -> Sweep:
     """Eliminate the noise of every interval; turn the first knot's rows into the last one's.
 
@@ -97,6 +104,8 @@ def sweep(
         Added to the information of the first knot of every interval.
     ends
         Whether what lies between the first knot and the last is not asked for.
+    noise
+        Whether ``inverse_roots`` and ``gain`` are asked for.
 
     Raises
     ------
@@ -105,7 +114,7 @@ def sweep(
     """
     if compiled is not None:
         given = (inverse_transition, noise_root, noise_residual)
-        return _compiled_sweep(knot, blocks, given, damping=damping, ends=ends)
+        return _compiled_sweep(knot, blocks, given, damping=damping, ends=ends, noise=noise)
     d = knot.shape[0]
     # x[k] = A x[k+1] - B w.
     scaled_root = inverse_transition @ noise_root
@@ -137,11 +146,15 @@ def sweep(
         shares = (blocks.others.sum(axis=0) - taken.sum(axis=0))[None]
     else:
         shares = blocks.others - taken
-    back = scaled_root @ (np.swapaxes(inverse_roots, 1, 2) @ rests)
+    gain = np.swapaxes(inverse_roots, 1, 2) @ rests
+    back = scaled_root @ gain
     back[:, :, :d] += inverse_transition
     spread = scaled_root @ np.swapaxes(inverse_roots, 1, 2)
     half_log = -float(np.sum(np.log(np.einsum("kii->ki", inverse_roots))))
-    return Sweep(knots, shares, back, spread, half_log, float(np.sum(rests[:, :, -1] ** 2)))
+    square = float(np.sum(rests[:, :, -1] ** 2))
+    if not noise:
+        inverse_roots, gain = inverse_roots[:0], gain[:0]
+    return Sweep(knots, shares, back, spread, half_log, square, inverse_roots, gain)
 
 
 def _compiled_sweep(
@@ -151,6 +164,7 @@ def _compiled_sweep(
     *,
     damping: float,
     ends: bool,
+    noise: bool,
 ) -> Sweep:
     """Return what :func:`sweep` does, from compiled code."""
     d, width = knot.shape
@@ -158,13 +172,14 @@ def _compiled_sweep(
     held = 1 if ends else count
     knots, shares = np.empty((held, d, width)), np.empty((held, rest, rest))
     back, spread = np.empty((count, d, width)), np.empty((count, d, d))
+    inverse_roots, gain = (np.empty((count * noise, d, size)) for size in (d, width))
     sums = np.empty(2)
     summed = blocks.others.sum(axis=0) if ends else blocks.others
     arrays = map(flat, (knot, blocks.knots, summed, *given))
-    results = (knots, shares, back, spread, sums)
-    if not compiled.sweep(count, d, rest, int(ends), damping, *arrays, *results):
+    results = (knots, shares, back, spread, sums, inverse_roots, gain)
+    if not compiled.sweep(count, d, rest, int(ends), int(noise), damping, *arrays, *results):
         raise NotPositiveDefiniteError
-    return Sweep(knots, shares, back, spread, float(sums[0]), float(sums[1]))
+    return Sweep(knots, shares, back, spread, float(sums[0]), float(sums[1]), inverse_roots, gain)
 
 
 def _turned_rows(

@@ -275,6 +275,9 @@ class Track(TrackPoints):
             velocity = before[:, 3:6] if motion.order > 1 else None
             root = motion.density.square_root(velocity, time_s.size)
             unit = conditional_covariance(motion.order, place.step_s, place.offset_s)
+            times = self.problem.noise_times
+            if times is not None:
+                root = root * times[place.interval][:, None, None]
             covariance += kron_stack(unit, root @ np.swapaxes(root, 1, 2))
         return np.asarray(covariance)
 
@@ -292,6 +295,9 @@ class Track(TrackPoints):
         start = np.broadcast_to(self.values.path[end], (step_s.size, self.state.shape[1]))
         _, matrix = motion.predict(start, step_s)
         noise = motion.noise(start, np.abs(step_s))
+        times = self.problem.noise_times
+        if times is not None:
+            noise *= times[end] ** 2
         inner = self.covariance[end]
         if end == 0:
             # Back in time: the noise lies between, and is carried back with the state.

@@ -111,7 +111,7 @@ def test_sweep_back_substitution_and_marginals(count, d, s):
         root = np.linalg.cholesky(np.eye(d + s) + np.ones((d + s, d + s)))
         return (
             found,
-            sweep.sweep(knot, **system, damping=0.3, ends=True),
+            sweep.sweep(knot, **system, damping=0.3, ends=True, noise=True),
             sweep.substitute(found.back, last, constants),
             sweep.chain_marginals(found.back, found.spread, root),
         )
@@ -184,13 +184,13 @@ def test_wrong_arrays_are_refused():
         compiled.sweep(1, 2)
     knot, system = random_system(np.random.default_rng(1), 2, 3, 1)
     sums, *rest = system.values()
-    given_ = [knot, *map(flat, (sums.knots, sums.others)), *rest, *(np.empty(1) for _ in range(5))]
-    with pytest.raises(ValueError, match=r"argument 11 holds 8 bytes of format d; expected 30"):
-        compiled.sweep(2, 3, 2, 0, 0.0, *given_)
-    with pytest.raises(ValueError, match="argument 5"):
-        compiled.sweep(2, 3, 2, 0, 0.0, knot.astype(np.float32), *given_[1:])
+    given_ = [knot, *map(flat, (sums.knots, sums.others)), *rest, *(np.empty(1) for _ in range(7))]
+    with pytest.raises(ValueError, match=r"argument 12 holds 8 bytes of format d; expected 30"):
+        compiled.sweep(2, 3, 2, 0, 0, 0.0, *given_)
+    with pytest.raises(ValueError, match="argument 6"):
+        compiled.sweep(2, 3, 2, 0, 0, 0.0, knot.astype(np.float32), *given_[1:])
     with pytest.raises((ValueError, BufferError)):
-        compiled.sweep(2, 3, 2, 0, 0.0, np.asfortranarray(knot), *given_[1:])
+        compiled.sweep(2, 3, 2, 0, 0, 0.0, np.asfortranarray(knot), *given_[1:])
     none, one = np.empty(0), np.ones(1)
     held = [none, none, none, one.copy(), none, one.copy(), none, none]
     compiled.marginals(0, 1, 0, *held)

@@ -24,6 +24,7 @@ from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotati
     ProcessNoiseAlong,
     Scheduler,
     Spacing,
+    StagesOption,
 )
 from geograph.cli.report_command import report
 from geograph.cli.simulate_command import simulate
@@ -78,6 +79,7 @@ def smooth(
     motion: Motion = None,
     process_noise: ProcessNoise = None,
     process_noise_along: ProcessNoiseAlong = None,
+    stages: StagesOption = None,
     spacing: Spacing = None,
     loss: Loss = None,
     max_iterations: MaxIterations = None,
@@ -98,6 +100,7 @@ def smooth(
         "motion": motion,
         "process_noise": process_noise,
         "process_noise_along": process_noise_along,
+        "stages": stages,
         "spacing_s": spacing,
         "loss": loss,
         "max_iterations": max_iterations,

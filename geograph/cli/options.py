@@ -36,6 +36,16 @@ ProcessNoiseAlong = Annotated[
         rich_help_panel=SETTINGS_PANEL,
     ),
 ]
+StagesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--stages",
+        metavar="STAGES",
+        help="Pieces of time in which the noise differs: auto finds them; none; or "
+        "FROM_S:TIMES,... how many times the noise from then on.",
+        rich_help_panel=SETTINGS_PANEL,
+    ),
+]
 Spacing = Annotated[
     float | None,
     typer.Option(metavar="SECONDS", help="Time between knots.", rich_help_panel=SETTINGS_PANEL),

@@ -22,6 +22,8 @@ def settings_from(given: Mapping[str, Any]) -> dict[str, Any]:
     changes = {name: value for name, value in given.items() if value is not None}
     if "process_noise" in changes:
         changes["process_noise"] = _noise(changes["process_noise"])
+    if "stages" in changes:
+        changes["stages"] = _stages(changes["stages"])
     # Whether noise along the velocity makes sense depends on the rest of the recording's settings.
     alone = {name: value for name, value in changes.items() if name != "process_noise_along"}
     try:
@@ -41,6 +43,19 @@ def _noise(text: str) -> float | tuple[float, ...] | str:
             f"--process-noise is {text!r}; expected one number, three (x,y,z), or auto"
         ) from None
     return numbers[0] if len(numbers) == 1 else numbers
+
+
+def _stages(text: str) -> tuple[tuple[float, float], ...] | str | None:
+    if text in ("auto", "none"):
+        return None if text == "none" else text
+    try:
+        parts = [part.split(":") for part in text.split(",")]
+        return tuple((float(start), float(times)) for start, times in parts)
+    except ValueError:
+        raise InputError(
+            f"--stages is {text!r}; expected auto, none, or FROM_S:TIMES,... (10:3 for three times "
+            "the noise from 10 s on)"
+        ) from None
 
 
 @dataclass(frozen=True, kw_only=True)

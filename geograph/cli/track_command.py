@@ -14,6 +14,7 @@ from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotati
     ProcessNoise,
     ProcessNoiseAlong,
     Spacing,
+    StagesOption,
 )
 
 _FEED, _PICTURE = "The feed", "Live picture"
@@ -107,6 +108,7 @@ def track(
     motion: Motion = None,
     process_noise: ProcessNoise = None,
     process_noise_along: ProcessNoiseAlong = None,
+    stages: StagesOption = None,
     spacing: Spacing = None,
     loss: Loss = None,
     plot: Annotated[
@@ -164,6 +166,7 @@ def track(
                 "motion": motion,
                 "process_noise": process_noise,
                 "process_noise_along": process_noise_along,
+                "stages": stages,
                 "spacing_s": spacing,
                 "loss": loss,
             }

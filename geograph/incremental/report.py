@@ -147,7 +147,7 @@ def held_track(state: State) -> Track:
     smoother.rejected = np.concatenate(rejected) if rejected else np.zeros(0, dtype=bool)
     smoother.attempts = state.attempts
     assert state.resolution is not None
-    smoother._resolution = state.resolution
+    smoother.resolution = state.resolution
     return make_track(smoother, seconds=0.0)
 
 

@@ -107,6 +107,12 @@ class IncrementalSmoother:
                 "GTSAM cannot whiten; expected engine structured",
                 column="engine",
             )
+        if chosen.stages is not None:
+            raise InputError(
+                "stages are found or given for whole recordings alone; expected none: leave them "
+                "out (--stages none), and where the noise changes call change_process_noise",
+                column="stages",
+            )
         template = Recording(
             name="feed",
             frame=frame,

@@ -133,7 +133,7 @@ def begin(
     problem = smoother.problem
     # How long a feed has run says nothing of an object that stands still.
     spacing = settings.spacing_s or automatic_spacing(
-        problem.motion, problem.states, smoother._resolution, ends=not problem.motion.static
+        problem.motion, problem.states, smoother.resolution, ends=not problem.motion.static
     )
     model = make_model(template, smoother, rows, whole, spacing_s=spacing)
     values = _mapped(smoother, model)
@@ -145,7 +145,7 @@ def begin(
         values = Values(np.repeat(values.path, 2, axis=0), np.zeros((2, 0)), values.constants)
     fixes = fixes_between(model, *recording.time_span_s)
     chain = make_chain(model, knots, values, join([rows, fixes]) if fixes else rows)
-    return Started(model, chain, smoother.attempts, smoother._resolution)
+    return Started(model, chain, smoother.attempts, smoother.resolution)
 
 
 def _enough(recording: Recording, settings: SmoothSettings) -> None:
@@ -196,7 +196,7 @@ def make_model(
     table = prepared.recording.frequency_differences
     between = (
         smoother.settings.spacing_s is not None
-        and ignored_share(problem.motion, spacing_s, smoother._resolution) > NEGLIGIBLE
+        and ignored_share(problem.motion, spacing_s, smoother.resolution) > NEGLIGIBLE
     )
     model = Model(
         prepared=replace(

@@ -334,6 +334,23 @@ def _three(
     return x, y, z
 
 
+def _pairs(document: Document, path: KeyPath, value: object) -> tuple[tuple[float, float], ...]:
+    if not isinstance(value, list) or not all(
+        isinstance(pair, list) and len(pair) == 2 for pair in value
+    ):
+        document.fail(
+            path,
+            f'is {shown(value)}; expected "auto", or pairs [from_s, times] in the order of time',
+        )
+    return tuple(
+        (
+            document.number(path, start, low=-MAX_VALUE, high=MAX_VALUE),
+            document.number(path, times, high=MAX_VALUE),
+        )
+        for start, times in value
+    )
+
+
 def _errors(document: Document, path: KeyPath, value: object, speed_m_s: float) -> SensorErrors:
     names = [entry.name for entry in fields(SensorErrors)]
     other_units = _DEGREES_KEYS | _METRE_KEYS
@@ -386,8 +403,10 @@ def _settings(document: Document, value: object) -> SmoothSettings:
             values[key] = int(document.number(where, entry, low=1.0, high=1e6))
         elif key == "process_noise" and isinstance(entry, list):
             values[key] = _three(document, where, entry, "one or three numbers", MAX_VALUE)
-        elif key == "process_noise" and isinstance(entry, str):
+        elif key in ("process_noise", "stages") and isinstance(entry, str):
             values[key] = document.choice(where, entry, ("auto",))
+        elif key == "stages":
+            values[key] = _pairs(document, where, entry)
         else:
             values[key] = document.number(where, entry, high=MAX_VALUE)
     try:

@@ -8,7 +8,7 @@ import re
 from dataclasses import fields
 from datetime import UTC
 from pathlib import PurePath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -146,11 +146,16 @@ def _settings_lines(settings: SmoothSettings) -> list[str]:
         if isinstance(value, str):
             written = _text(value)
         elif isinstance(value, tuple):
-            written = f"[{', '.join(_number(part) for part in value)}]"
+            written = _list(value)
         else:
             written = str(value) if isinstance(value, int) else _number(value)
         lines.append(f"{entry.name} = {written}")
     return lines
+
+
+def _list(values: tuple[Any, ...]) -> str:
+    parts = [_list(part) if isinstance(part, tuple) else _number(part) for part in values]
+    return f"[{', '.join(parts)}]"
 
 
 def _number(value: float) -> str:

@@ -261,10 +261,10 @@ INLINE int inverse_root(Size d, double *matrix, double *inverse)
 
 typedef struct {
     Size n, d, c; /* intervals; components of a knot; constants and the gradient */
-    int ends;
+    int ends, noise;
     double damping;
     const double *knot, *blocks, *others, *inverse_transition, *noise_root, *noise_residual;
-    double *knots, *shares, *back, *spread, *sums;
+    double *knots, *shares, *back, *spread, *sums, *inverse_roots, *gain;
 } Sweep;
 
 /* share -= R' R in its lower triangle, R (d x c), rows of R w apart. Rows are filled up to whole
@@ -362,6 +362,10 @@ INLINE int sweep_step(const Sweep *all, Size k, const double *before, double *re
     all->sums[1] += sum;
     for (Size i = 0; i < d; i++)
         add_rows(d - i, w, 1.0, inverse + i * d + i, d, rest + i * w, w, gain + i * w);
+    if (all->noise) {
+        memcpy(all->inverse_roots + k * d * d, inverse, sizeof(double) * (size_t)(d * d));
+        memcpy(all->gain + k * d * w, gain, sizeof(double) * (size_t)(d * w));
+    }
     double *back = all->back + k * d * w;
     memset(back, 0, sizeof(double) * (size_t)(d * w));
     for (Size i = 0; i < d; i++)
@@ -414,6 +418,7 @@ static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
     Size n = all.n = whole(&reader);
     Size d = all.d = whole(&reader), c = all.c = whole(&reader);
     all.ends = (int)whole(&reader);
+    all.noise = (int)whole(&reader);
     all.damping = number(&reader);
     Size w = d + c, full = w + d, held = all.ends ? 1 : n;
     all.knot = reals(&reader, d * w);
@@ -427,8 +432,11 @@ static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
     all.back = results(&reader, n * d * w);
     all.spread = results(&reader, n * d * d);
     all.sums = results(&reader, 2);
+    all.inverse_roots = results(&reader, all.noise ? n * d * d : 0);
+    all.gain = results(&reader, all.noise ? n * d * w : 0);
     int there = all.knot && all.blocks && all.others && all.inverse_transition && all.noise_root &&
-                all.noise_residual && all.knots && all.shares && all.back && all.spread && all.sums;
+                all.noise_residual && all.knots && all.shares && all.back && all.spread && all.sums &&
+                all.inverse_roots && all.gain;
     if (!complete(&reader, there)) {
         release(&reader);
         return NULL;

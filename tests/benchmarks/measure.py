@@ -1,4 +1,4 @@
-"""Measure one contestant on one pass, alone in its process: ``measure.py PASS NAME RESULT CLOCK``."""
+"""Measure one contestant, alone in its process: ``measure.py PASS NAME RESULT CLOCK``."""
 
 from __future__ import annotations
 
