@@ -123,6 +123,12 @@ def _add_higher_zonals(
         jacobian[:, 2] -= size * (db[:, None] * turn - ((n + 2) * b)[:, None] * u)
 
 
+def parts_of(step_s: NDArray[np.float64]) -> int:
+    """Return into how many equal steps propagations of these lengths (n,) are divided."""
+    longest = float(np.abs(step_s).max(initial=0.0))
+    return max(1, int(np.ceil(longest / _LONGEST_STEP_S)))
+
+
 def propagate(
     state: NDArray[np.float64],
     step_s: NDArray[np.float64],
@@ -151,8 +157,7 @@ def propagate(
         Shape (n, 6, 6): derivative of the result by the given state.
     """
     step = np.asarray(step_s, dtype=np.float64)
-    longest = float(np.abs(step).max(initial=0.0))
-    parts = max(1, int(np.ceil(longest / _LONGEST_STEP_S)))
+    parts = parts_of(step)
     h = (step / parts)[:, None]
     x = np.array(state, dtype=np.float64)
     jacobian = np.broadcast_to(np.eye(6), (x.shape[0], 6, 6)).copy()

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from geograph.factors.gravity import acceleration, propagate
+from geograph.factors.gravity import acceleration
 from geograph.factors.kinematics import interpolation_weights
+from geograph.falls import propagated
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -186,7 +187,7 @@ def fall(
     key = (state.tobytes(), step_s.tobytes(), frame, int(degree))
     found = _falls.get(key)
     if found is None:
-        found = propagate(state, step_s, frame, degree)
+        found = propagated(state, step_s, frame, degree)
         for part in found:
             part.setflags(write=False)
         while len(_falls) >= _RECENT_FALLS:

@@ -13,13 +13,13 @@ from made_problem import random_problem
 from test_families import kinds, made_possible
 
 import geograph as gg
-from geograph import blocks, motion, sweep
+from geograph import blocks, falls, motion, sweep
 from geograph.families import bearings
 from geograph.kernels import compiled, flat
 from geograph.motion import Density, Motion
 from geograph.scenarios import low_orbit_pass
 
-MODULES = (blocks, motion, sweep, bearings)
+MODULES = (blocks, falls, motion, sweep, bearings)
 
 needs_compiled = pytest.mark.skipif(compiled is None, reason="nothing was compiled here")
 
@@ -160,6 +160,25 @@ def test_transitions(name):
         np.broadcast_to(np.eye(size), (5, size, size)),
         atol=1e-9 * np.abs(ours["inverse"]).max(),
     )
+
+
+@needs_compiled
+@pytest.mark.parametrize("degree", [2, 4])
+def test_falls(degree):
+    """Orbits of all heights and inclinations, forwards and back, and one straight up."""
+    rng = np.random.default_rng(degree)
+    direction = rng.normal(size=(40, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    position = rng.uniform(6.5e6, 4.3e7, (40, 1)) * direction
+    state = np.concatenate([position, rng.normal(0.0, 4e3, (40, 3))], axis=1)
+    state[0] = 0.0, 0.0, 6.6e6, 0.0, 0.0, 3e3
+    steps = rng.uniform(-60.0, 60.0, 40)
+    ours = falls.propagated(state, steps, "ecef", degree)
+    for found, other in zip(ours, in_numpy(lambda: falls.propagated(state, steps, "ecef", degree)),
+                            strict=True):  # fmt: skip
+        alike(found, other, "fall", rtol=1e-13)
+    with pytest.raises(ValueError, match="the degree 2 or 4"):
+        compiled.fall(0, 1, 3, *[np.empty(0)] * 5)
 
 
 @needs_compiled
