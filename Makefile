@@ -1,7 +1,7 @@
 # make demo   set up, smooth a real fireball, show a table, list the pictures
 # make test   set up, check style and types, run all tests
 # make bench  measure the speed
-# make docs   build the site
+# make docs   run what the documents show, build the site
 # make clean  remove what these made
 
 # The first interpreter that is new enough; make PYTHON=... takes another.
@@ -38,7 +38,8 @@ bench: $(VENV)/.test
 	$(BIN)/python tests/benchmarks/run.py
 	$(BIN)/python tests/benchmarks/incremental.py
 
-docs: $(VENV)/.docs
+docs: $(VENV)/.docs $(VENV)/.test
+	$(BIN)/python -m pytest -n $(JOBS) tests/test_docs.py
 	$(BIN)/mkdocs build --strict --config-file .mkdocs.yml
 
 clean:

@@ -27,6 +27,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "stations.csv").write_text(STATION_CSV)
     rows = sightings(sigma_deg=SIGMA_DEG, step_s=3.0, seed=3)
     (place / "pass.tdm").write_text(tdm(rows))
+    (place / "pass.txt").write_text(tdm(rows))
     inputs = [
         str(place / "pass.tdm"),
         str(place / "rec"),
@@ -87,6 +88,16 @@ def test_every_map(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         (["pass.tdm", "x", "--format", "iod"], "column 17-20"),
         (["pass.tdm", "x"], "has no position here; expected a station list"),
         (["none.tdm", "x"], "none.tdm: no such file"),
+        (["pass.txt", "x"], "has no position here; expected a station list"),
+        (
+            ["pass.tdm", "rec"],
+            "rec: is a recording and is not overwritten; expected a new or empty "
+            "folder; name another, or allow to overwrite",
+        ),
+        (
+            ["--format", "recording", "pass.tdm", "x"],
+            "is a file of another format; expected a reco",
+        ),
     ],
 )
 def test_what_cannot_be_converted(

@@ -1,8 +1,8 @@
 """What the documents show is run: Python blocks, and commands of console blocks with their output.
 
 The blocks of one document share a fresh folder and one Python namespace, in their order. Output
-below a command must be matched (``...`` for what may differ); ``text`` and ``sh`` blocks are shown
-only.
+below a command must be matched (``...`` for what may differ). ``text`` blocks are shown only, and
+of ``sh`` blocks, which set up a machine or run for hours, commands and options must exist.
 """
 
 from __future__ import annotations
@@ -10,16 +10,22 @@ from __future__ import annotations
 import doctest
 import os
 import re
+import shlex
 import subprocess
 import sys
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+import typer
+
+from geograph.cli.app import app
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```(python|console)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+SHOWN = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
@@ -89,6 +95,27 @@ def test_links_between_documents_lead_somewhere():
         for target in re.findall(r"\]\(([^)\s#]+)[^)]*\)", text):
             if "://" not in target and not target.startswith("mailto:"):
                 assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+def test_commands_that_are_only_shown_exist():
+    commands = typer.main.get_command(app).commands
+    targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    shown = 0
+    for document in DOCUMENTS:
+        for block in SHOWN.findall(document.read_text(encoding="utf-8")):
+            for line in block.replace("\\\n", " ").splitlines():
+                words = shlex.split(line, comments=True)
+                where = f"{document.name}: {line}"
+                if words[:1] == ["geograph"]:
+                    known = {option for each in commands[words[1]].params for option in each.opts}
+                    options = {word.partition("=")[0] for word in words if word.startswith("-")}
+                    assert options <= known, where
+                elif words[:2] == ["python", "-m"]:
+                    assert find_spec(words[2]), where
+                elif words[:1] == ["make"]:
+                    assert words[1] in targets, where
+                shown += 1
+    assert shown > 20
 
 
 def test_the_interface_page_has_every_public_name():

@@ -241,6 +241,14 @@ def test_kml_against_its_schema(made, tmp_path):
     assert len(begins) == made.time_s.size
     assert begins[1:] == ends[:-1]
     assert fastkml.KML.parse(tmp_path / "a.kml").features
+    export.write_kml(at(10.0, 179.999, step_deg=1e-4), tmp_path / "c.kml")
+    cut = lxml.parse(tmp_path / "c.kml")
+    assert schema.validate(cut), schema.error_log
+    # The ellipses and the lines lie on both sides of the 180th meridian, each part on its own.
+    texts = cut.xpath("//k:MultiGeometry/*//k:coordinates/text()", namespaces=space)
+    assert len(texts) >= 4
+    for text in texts:
+        assert np.ptp([float(point.split(",")[0]) for point in text.split()]) < 1.0
     strange = make_track(name="A < B & \x07 'C'")
     export.write_kml(strange, tmp_path / "b.kml")
     assert schema.validate(lxml.parse(tmp_path / "b.kml")), schema.error_log

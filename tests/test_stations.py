@@ -233,6 +233,16 @@ def test_bad_oem(tmp_path: Path, old: str, new: str, expected: str) -> None:
         read_oem(write(tmp_path / "a.oem", changed), START, (0.0, 120.0))
 
 
+def test_an_ephemeris_cut_short(tmp_path: Path) -> None:
+    text = oem("ITRF2000", earth_fixed_states())
+    for cut, expected in (
+        (text.partition("META_STOP")[0], r"a.oem:5: ends within metadata; expected META_STOP"),
+        (f"{text}COVARIANCE_START\n", r"ends within covariances; expected COVARIANCE_STOP"),
+    ):
+        with pytest.raises(InputError, match=expected):
+            read_oem(write(tmp_path / "a.oem", cut), START, (0.0, 120.0))
+
+
 def tle() -> str:
     """Return elements of a made orbit, with their checksums."""
     lines = [

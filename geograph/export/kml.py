@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree as Xml
 
 from geograph.export._place import Placed, placed, write_text
+from geograph.export.geojson import cut_line, cut_ring
 from geograph.geodesy import geodetic_from_ecef
 
 if TYPE_CHECKING:
@@ -105,12 +106,20 @@ def _placemark(parent: Xml.Element, name: str, style: str | None = None) -> Xml.
     return mark
 
 
+def _holder(parent: Xml.Element, parts: int) -> Xml.Element:
+    """Return what takes the parts of a shape that the 180th meridian cuts."""
+    return parent if parts == 1 else _add(parent, "MultiGeometry")
+
+
 def _line(parent: Xml.Element, geodetic: NDArray[np.float64], mode: str) -> None:
-    line = _add(parent, "LineString")
-    if mode == "clampToGround":
-        _add(line, "tessellate", "1")
-    _add(line, "altitudeMode", mode)
-    _add(line, "coordinates", _coordinates(geodetic))
+    parts = cut_line(geodetic)
+    holder = _holder(parent, len(parts))
+    for part in parts:
+        line = _add(holder, "LineString")
+        if mode == "clampToGround":
+            _add(line, "tessellate", "1")
+        _add(line, "altitudeMode", mode)
+        _add(line, "coordinates", _coordinates(part))
 
 
 def _point(parent: Xml.Element, geodetic: NDArray[np.float64]) -> None:
@@ -155,10 +164,13 @@ def _ellipses(document: Xml.Element, place: Placed) -> None:
         _add(span, "begin", begin)
         _add(span, "end", end)
         _add(mark, "styleUrl", "#ellipse")
-        polygon = _add(mark, "Polygon")
-        _add(polygon, "altitudeMode", "absolute")
-        ring = _add(_add(polygon, "outerBoundaryIs"), "LinearRing")
-        _add(ring, "coordinates", _coordinates(outline))
+        rings = cut_ring(outline)
+        holder = _holder(mark, len(rings))
+        for ring in rings:
+            polygon = _add(holder, "Polygon")
+            _add(polygon, "altitudeMode", "absolute")
+            boundary = _add(_add(polygon, "outerBoundaryIs"), "LinearRing")
+            _add(boundary, "coordinates", _coordinates(ring))
 
 
 def _sensors(document: Xml.Element, results: Results) -> None:

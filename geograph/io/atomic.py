@@ -150,9 +150,10 @@ def check_replaceable(
         is_recording and not set(markers).intersection(RECORDING_MARKERS)
     ):
         what = "is a recording" if is_recording else f"holds other files ({min(present)!r})"
+        earlier = f", or one that holds {' or '.join(markers)} of an earlier run" if markers else ""
         raise InputError(
-            f"{what} and is not overwritten; expected a new or empty folder, or one that holds "
-            f"{' or '.join(markers)} of an earlier run; name another",
+            f"{what} and is not overwritten; expected a new or empty folder{earlier}; name another"
+            + ("" if markers else ", or allow to overwrite"),
             path=name,
         )
 

@@ -11,7 +11,7 @@ from geograph.io.atomic import check_replaceable
 from geograph.io.ecsv import PerCamera, ecsv_files, read_ecsv
 from geograph.io.messages import expected_one_of, listed, shown
 from geograph.io.reader import read
-from geograph.io.source import HEADER_NAME
+from geograph.io.source import FOREIGN_SUFFIXES, HEADER_NAME
 from geograph.io.writer import TableFormat, write
 
 if TYPE_CHECKING:
@@ -22,17 +22,7 @@ if TYPE_CHECKING:
     from geograph.sensors import Sensor
 
 _RESULTS_MARK = "summary.json"
-_BY_SUFFIX = {
-    ".zip": "recording",
-    ".ecsv": "ecsv",
-    ".tdm": "tdm",
-    ".kvn": "tdm",
-    ".xml": "tdm",
-    ".iod": "iod",
-    ".uk": "uk",
-    ".mpc": "mpc",
-    ".obs": "mpc",
-}
+_BY_SUFFIX = {".zip": "recording"} | FOREIGN_SUFFIXES
 FORMATS = ("recording", "results", "ecsv", "tdm", "iod", "uk", "mpc", "mapped")
 """Formats that are read, by the names that they have on the command line."""
 
@@ -179,12 +169,23 @@ def _kind_of(path: Path) -> str:
         # The reader of recordings says what is wrong with a header given for its folder.
         if path.name == HEADER_NAME:
             return "recording"
+        if _is_tracking_message(path):
+            return "tdm"
         raise InputError(
             f"ends in {shown(path.suffix)}, which says no format; expected one of "
             f"{listed(_BY_SUFFIX)}; say it (--format), or give a mapping (--mapping)",
             path=path,
         )
     return kind or "recording"
+
+
+def _is_tracking_message(path: Path) -> bool:
+    """Tell whether a file of any suffix begins as a tracking data message does."""
+    try:
+        with path.open("rb") as file:
+            return b"CCSDS_TDM_VERS" in file.read(400)
+    except OSError:
+        return False
 
 
 def _one_recording(

@@ -171,6 +171,13 @@ def _from_kvn(content: bytes, path: Path) -> list[_Segment]:
             segments[-1].states.append((entry, words[0], words[1:]))
         elif section not in ("header", "covariance"):
             entry.fail(f"is {shown(entry.value)}; expected a state, or META_START")
+    if section in ("meta", "covariance"):
+        raise InputError(
+            f"ends within {'metadata' if section == 'meta' else 'covariances'}; expected "
+            f"{'META_STOP' if section == 'meta' else 'COVARIANCE_STOP'}; is the file cut short?",
+            path=path,
+            line=segments[-1].line,
+        )
     return segments
 
 

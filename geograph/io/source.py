@@ -15,6 +15,18 @@ if TYPE_CHECKING:
 
 HEADER_NAME = "recording.toml"
 
+FOREIGN_SUFFIXES = {
+    ".ecsv": "ecsv",
+    ".tdm": "tdm",
+    ".kvn": "tdm",
+    ".xml": "tdm",
+    ".iod": "iod",
+    ".uk": "uk",
+    ".mpc": "mpc",
+    ".obs": "mpc",
+}
+"""Files of other formats that are read, with their formats."""
+
 
 class Source(Protocol):
     """Files of one recording, by name."""
@@ -188,6 +200,12 @@ def open_source(path: Path | str) -> Source:
     if not place.is_file():
         raise InputError(
             "is not a regular file; expected a recording's folder, or a .zip of one", path=place
+        )
+    if place.suffix.lower() in FOREIGN_SUFFIXES:
+        raise InputError(
+            "is a file of another format; expected a recording's folder, or a .zip; make one "
+            "first (geograph convert)",
+            path=place,
         )
     if place.name == HEADER_NAME:
         raise InputError(

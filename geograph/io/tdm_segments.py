@@ -109,7 +109,8 @@ def _from_kvn(content: bytes, place: Path) -> list[Segment]:
         elif section == "data":
             words = entry.value.split()
             if len(words) != 2:
-                entry.fail(f"is {shown(entry.value)}; expected a time and a measurement")
+                entry.fail(f"is {shown(entry.value)}; expected a time (2024-03-20T19:04:00.5) "
+                           "and a measurement")  # fmt: skip
             segments[-1].records.append(Record(entry, words[0], words[1]))
         elif section != "header":
             entry.fail("is outside of metadata and data; expected META_START before it")
