@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 from importlib.util import find_spec
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,8 +65,7 @@ class _GriRun(Run):
         (table,) = (t.at_nearest_knots() for t in tables(data) if isinstance(t, BearingTable))
         edges = np.searchsorted(table.interval, np.arange(data.knots_s.size + 1))
         self._observations = [
-            _Bearings(table, slice(int(first), int(last)))
-            for first, last in zip(edges, edges[1:], strict=False)
+            _Bearings(table, slice(int(first), int(last))) for first, last in pairwise(edges)
         ]
 
     def solve(self) -> Estimate:
