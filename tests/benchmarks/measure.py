@@ -1,4 +1,7 @@
-"""Measure one contestant, alone in its process: ``measure.py PASS NAME RESULT CLOCK``."""
+"""Measure one contestant on one pass, alone in its process.
+
+``measure.py PASS NAME RESULT CLOCK BUDGET_S``
+"""
 
 from __future__ import annotations
 
@@ -74,7 +77,12 @@ def _peak_mb() -> float:
 
 
 def measure(
-    data: Pass, name: str, *, clock: str = "wall", ready: Callable[[], object] = bool
+    data: Pass,
+    name: str,
+    *,
+    clock: str = "wall",
+    budget_s: float = BUDGET_S,
+    ready: Callable[[], object] = bool,
 ) -> Measured:
     """Run a contestant often enough for medians; ``ready`` is called before the first solve."""
     now = CLOCKS[clock]
@@ -98,7 +106,7 @@ def measure(
         # Later runs would count what the allocator has not given back.
         memory = memory or _peak_mb() - before
         spent = done - begin
-        if spent > _ENOUGH_S or (len(taken) >= _RUNS[0] and spent > BUDGET_S):
+        if spent > _ENOUGH_S or (len(taken) >= _RUNS[0] and spent > budget_s):
             break
     stages = run.stages()
     medians = [statistics.median(column) for column in zip(*taken, strict=True)]
@@ -121,9 +129,15 @@ def measure(
 
 def main() -> None:
     """Measure and write the result as JSON; an empty file beside it says that the solve began."""
-    pass_file, name, result_file, clock = sys.argv[1:]
+    pass_file, name, result_file, clock, budget = sys.argv[1:]
     begun = Path(result_file).with_suffix(".begun")
-    measured = measure(Pass.load(Path(pass_file)), name, clock=clock, ready=begun.touch)
+    measured = measure(
+        Pass.load(Path(pass_file)),
+        name,
+        clock=clock,
+        budget_s=float(budget),
+        ready=begun.touch,
+    )
     Path(result_file).write_text(json.dumps(asdict(measured)), encoding="utf-8")
 
 

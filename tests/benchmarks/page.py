@@ -13,7 +13,9 @@ if TYPE_CHECKING:
 
     from targets import Target
 
-BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
+FIGURES = "figures"
+SCALING = "scaling"
+"""Names of the parts of a page that are replaced."""
 
 _HEADER = (
     "| | set-up, ms | solve, ms | iterations | marginals, ms | solve + marginals, ms | "
@@ -64,11 +66,11 @@ def _rows(results: Results, size: str) -> Iterator[str]:
         yield f"| {shown} | " + " | ".join(cells) + " |"
 
 
-def put(text: str, page: Path) -> None:
-    """Replace what stands between the two comments of a page."""
-    whole = page.read_text(encoding="utf-8")
-    before, begin, rest = whole.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not (begin and end):
-        raise SystemExit(f"{page} has no lines {BEGIN} and {END}")
-    page.write_text(f"{before}{BEGIN}\n\n{text}\n{END}{after}", encoding="utf-8")
+def put(text: str, page: Path, part: str) -> None:
+    """Replace what stands between the two comments of a page that name a part."""
+    begin, end = f"<!-- {part} -->", f"<!-- end of {part} -->"
+    before, found, rest = page.read_text(encoding="utf-8").partition(begin)
+    _, ended, after = rest.partition(end)
+    if not (found and ended):
+        raise SystemExit(f"{page} has no lines {begin} and {end}")
+    page.write_text(f"{before}{begin}\n\n{text.strip()}\n\n{end}{after}", encoding="utf-8")

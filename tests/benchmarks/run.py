@@ -20,9 +20,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from contestants import CONTESTANTS
-from measure import CLOCKS, Measured
+from measure import BUDGET_S, CLOCKS, Measured
 from model import SIZES
-from page import markdown, put
+from page import FIGURES, markdown, put
 from picture import draw
 from report import Results, show
 from shell import Beside, measure_beside
@@ -42,6 +42,12 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--contestants", nargs="+", choices=list(CONTESTANTS))
     parser.add_argument(
         "--limit", type=float, default=200.0, help="seconds of a solve after which it is stopped"
+    )
+    parser.add_argument(
+        "--budget",
+        type=float,
+        default=BUDGET_S,
+        help="seconds for which a contestant is run again",
     )
     parser.add_argument(
         "--clock",
@@ -70,7 +76,7 @@ def problem_file(folder: Path, size: str, seed: int) -> Path:
 
 
 def measured_alone(
-    pass_file: Path, name: str, result_file: Path, *, limit_s: float, clock: str
+    pass_file: Path, name: str, result_file: Path, options: argparse.Namespace
 ) -> Measured | str:
     """Measure a contestant in a process of its own; a string says why it has no result."""
     missing = CONTESTANTS[name].missing()
@@ -79,7 +85,7 @@ def measured_alone(
     begun = result_file.with_suffix(".begun")
     begun.unlink(missing_ok=True)
     command = [sys.executable, str(HERE / "measure.py"), str(pass_file), name, str(result_file)]
-    command.append(clock)
+    command += [options.clock, str(options.budget)]
     errors = result_file.with_suffix(".err")
     with errors.open("w", encoding="utf-8") as said:
         started = time.monotonic()
@@ -94,10 +100,10 @@ def measured_alone(
             now = time.monotonic()
             if solving is None and begun.exists():
                 solving = now
-            if now - (solving or started) > limit_s:
+            if now - (solving or started) > options.limit:
                 child.kill()
                 child.wait()
-                return f"> {limit_s:g} s" if solving else f"set-up takes more than {limit_s:g} s"
+                return f"{'' if solving else 'set-up '}> {options.limit:g} s"
             time.sleep(0.02)
     begun.unlink(missing_ok=True)
     if child.returncode:
@@ -136,9 +142,7 @@ def measure_all(options: argparse.Namespace) -> Results:
                 results[size][name] = "bearings only"
                 continue
             result_file = options.output / f"{size}-{name}.json"
-            results[size][name] = measured_alone(
-                pass_file, name, result_file, limit_s=options.limit, clock=options.clock
-            )
+            results[size][name] = measured_alone(pass_file, name, result_file, options)
         show(results, size)
     return results
 
@@ -179,7 +183,7 @@ def main() -> int:
     draw(results, options.output / "benchmark.png")
     print(f"\nwritten: {table}, benchmark.md and benchmark.png beside it")
     if options.page:
-        put(text, options.page)
+        put(text, options.page, FIGURES)
         picture = options.page.parent / "images" / f"{options.page.stem}.png"
         draw(results, picture)
         print(f"replaced: the figures in {options.page}, and {picture}")

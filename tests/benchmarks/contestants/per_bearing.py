@@ -30,9 +30,10 @@ if TYPE_CHECKING:
 
 _KNOT, _SENSOR = "x", "s"
 
-# Cholesky, the default and a little faster, calls longer chains indeterminate that are not; the
-# damping that is then raised takes dozens of iterations.
-_LONG = 1000
+# Cholesky, the default and a little faster, calls chains that are longer, or have fewer bearings a
+# knot, indeterminate that are not; the damping that is then raised takes dozens of iterations, or
+# ends far from the minimum.
+_LONG, _FEW = 1000, 16
 
 
 def _derivatives(
@@ -233,7 +234,7 @@ class _PerBearingRun(Run):
             gtsam.Ordering(),
         )
         self._knots = [gtsam.symbol(_KNOT, k) for k in range(knots)]
-        self._long = knots > _LONG
+        self._by_qr = knots > _LONG or data.measurements < _FEW * knots
         width, errors = data.scale.size, data.error_sigma.size
         self._sensors = [gtsam.symbol(_SENSOR, s) for s in range(sensors)] if errors else []
         sigma = data.prior_sigma / data.scale
@@ -261,7 +262,7 @@ class _PerBearingRun(Run):
         params.setRelativeErrorTol(TOLERANCE)
         params.setAbsoluteErrorTol(0.0)
         params.setOrdering(self._ordering)
-        if self._long:
+        if self._by_qr:
             params.setLinearSolverType("MULTIFRONTAL_QR")
         optimizer = gtsam.LevenbergMarquardtOptimizer(self._graph, self._values, params)
         self._values = optimizer.optimize()
@@ -282,7 +283,7 @@ class _PerBearingRun(Run):
 
     def stages(self) -> Stages:
         linear = self._graph.linearize(self._values)
-        arguments = (self._ordering, gtsam.EliminateQR) if self._long else (self._ordering,)
+        arguments = (self._ordering, gtsam.EliminateQR) if self._by_qr else (self._ordering,)
         return Stages(
             seconds(lambda: self._graph.linearize(self._values), repeats=1),
             seconds(lambda: linear.optimize(*arguments), repeats=1),
