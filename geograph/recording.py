@@ -113,6 +113,9 @@ class SmoothSettings:
             )
         self._check_noise()
         check_stages(self.stages)
+        if self.stages is not None and self.stages != "auto":
+            pairs = tuple((float(start), float(times)) for start, times in self.stages)
+            object.__setattr__(self, "stages", pairs)
         if self.spacing_s is not None and not _positive(self.spacing_s):
             raise InputError(
                 f"spacing_s is {self.spacing_s}; expected a finite number above 0 (seconds)",

@@ -8,7 +8,7 @@ import re
 from dataclasses import fields
 from datetime import UTC
 from pathlib import PurePath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
