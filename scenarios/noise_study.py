@@ -63,9 +63,11 @@ STAGED: dict[str, Callable[[int], StagedFlight]] = {
     "bearings, constant acceleration": partial(
         _noise, motion="constant-acceleration", noise=(0.03, 1.0, 0.03)
     ),
-    "arrivals, constant velocity": partial(_noise, measured="arrivals", noise=_CHANGING),
+    "arrivals, constant velocity": partial(
+        _noise, measured="arrivals", events=100, noise=_CHANGING
+    ),
     "arrivals, ballistic": partial(
-        _noise, motion="ballistic", measured="arrivals", noise=_CHANGING
+        _noise, motion="ballistic", measured="arrivals", events=100, noise=_CHANGING
     ),
 }
 """Worlds whose dynamics change in stages."""
@@ -75,8 +77,10 @@ STEADY: dict[str, Callable[[int], StagedFlight]] = {
     "bearings, constant acceleration": partial(
         _noise, motion="constant-acceleration", noise=(0.3,)
     ),
-    "arrivals, constant velocity": partial(_noise, measured="arrivals", noise=(3.0,)),
-    "arrivals, ballistic": partial(_noise, motion="ballistic", measured="arrivals", noise=(3.0,)),
+    "arrivals, constant velocity": partial(_noise, measured="arrivals", events=100, noise=(3.0,)),
+    "arrivals, ballistic": partial(
+        _noise, motion="ballistic", measured="arrivals", events=100, noise=(3.0,)
+    ),
     "low orbit, biases and drifts": partial(_low, sensors=3, bearings=60),
 }
 """Worlds whose process noise does not change: stages found in them are false."""
@@ -155,8 +159,8 @@ def run(world: Callable[[int], StagedFlight], seeds: Iterable[int]) -> Outcome:
         found = np.array([entry["from_s"] for entry in tracks["stages"].summary["stages"]])[1:]
         span = recording.time_span_s[1] - recording.time_span_s[0]
         stages.append(found.size + 1)
-        for boundary in flight.boundary_s:
-            missed.append(float(np.abs(found - boundary).min(initial=np.inf)) / span)
+        off = np.abs(found - flight.boundary_s[:, None]).min(axis=1, initial=np.inf)
+        missed += (off / span).tolist()
     return Outcome(
         {way: np.array(values) for way, values in square.items()},
         {way: np.array(values) for way, values in normalised.items()},
