@@ -185,8 +185,8 @@ def _scoring_step(
     # A level at its limit stays there, and what is hardly seen does not run away.
     held = ((level <= _RANGE[0]) & (slope < 0.0)) | ((level >= _RANGE[1]) & (slope > 0.0))
     slope = np.where(held, 0.0, slope)
-    step = np.linalg.solve(known + _RIDGE * np.eye(free.size), slope)
-    step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
+    step = np.asarray(np.linalg.solve(known + _RIDGE * np.eye(free.size), slope))
+    step = step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
     return step, slope * step
 
 
