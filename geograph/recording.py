@@ -113,6 +113,9 @@ class SmoothSettings:
             )
         self._check_noise()
         check_stages(self.stages)
+        if self.stages is not None and self.stages != "auto":
+            pairs = tuple((float(start), float(times)) for start, times in self.stages)
+            object.__setattr__(self, "stages", pairs)
         if self.spacing_s is not None and not _positive(self.spacing_s):
             raise InputError(
                 f"spacing_s is {self.spacing_s}; expected a finite number above 0 (seconds)",
@@ -140,12 +143,6 @@ class SmoothSettings:
         along = self.process_noise_along
         if along is None:
             return
-        if noise == "auto":
-            raise InputError(
-                'process_noise_along is given beside process_noise = "auto", which finds it too; '
-                "expected one of the two",
-                column="process_noise_along",
-            )
         if not _positive(along):
             raise InputError(
                 f"process_noise_along is {along}; expected a finite number above 0",
@@ -154,7 +151,7 @@ class SmoothSettings:
         if not isinstance(noise, (int, float)) or self.motion in ("static", "constant-position"):
             raise InputError(
                 "process_noise_along needs one number as process_noise (the noise across the "
-                "velocity) and a motion that has a velocity",
+                "velocity; auto finds both) and a motion that has a velocity",
                 column="process_noise_along",
             )
 

@@ -51,6 +51,9 @@ _LONGEST = 3.0
 _ENOUGH = 0.02
 _LEAST_SHARE = 0.02
 _RIDGE = 0.02
+# Gain at which a window is tried, and the share of its price at which its ends are moved first.
+_PROMISED = 2.0
+_NEAR = 0.3
 # Evidence that another round must bring.
 _PROGRESS = 0.5
 
@@ -182,54 +185,65 @@ def _scoring_step(
     # A level at its limit stays there, and what is hardly seen does not run away.
     held = ((level <= _RANGE[0]) & (slope < 0.0)) | ((level >= _RANGE[1]) & (slope > 0.0))
     slope = np.where(held, 0.0, slope)
-    step = np.asarray(np.linalg.solve(known + _RIDGE * np.eye(free.size), slope), np.float64)
-    step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
+    step = np.asarray(np.linalg.solve(known + _RIDGE * np.eye(free.size), slope))
+    step = step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
     return step, slope * step
 
 
 def _with_windows(evidence: Evidence, present: Partition, scores: Scores) -> Partition | None:
     """Return the partition with every window cut out that pays; None if there is none."""
     edges, logs = present.edges.tolist(), present.logs.tolist()
-    changed = False
     # From the last to the first, so that indices of those before stay what they are.
     for stage in range(present.logs.size - 1, -1, -1):
-        window = _best_window(scores, *present.edges[stage : stage + 2].tolist())
-        if window is None:
-            continue
-        low, high, ratio = window
-        first, last = present.edges[stage : stage + 2].tolist()
-        parts = [(first, 0.0)] if low > first else []
-        parts.append((low, float(np.log(ratio))))
-        parts += [(high, 0.0)] if high < last else []
+        cut = _cut(evidence, present, scores, stage)
+        if cut is not None:
+            parts = cut.logs.size - present.logs.size + 1
+            edges[stage + 1 : stage + 1] = cut.edges[stage + 1 : stage + parts].tolist()
+            logs[stage : stage + 1] = cut.logs[stage : stage + parts].tolist()
+    if len(logs) == present.logs.size:
+        return None
+    return Partition(np.array(edges, dtype=np.int64), np.array(logs), -np.inf)
+
+
+def _cut(evidence: Evidence, present: Partition, scores: Scores, stage: int) -> Partition | None:
+    """Return the partition with the best window of one stage cut out, if it pays."""
+    first, last = present.edges[stage : stage + 2].tolist()
+    best, most = None, -np.inf
+    for low, high, ratio in _windows(scores, first, last):
+        starts = [at for at in (first, low, high) if at < last]
+        starts = sorted(set(starts))
+        changes = [np.log(ratio) if at == low else 0.0 for at in starts]
         tried = Partition(
-            np.concatenate(
-                [present.edges[:stage], [at for at, _ in parts], present.edges[stage + 1 :]]
-            ).astype(np.int64),
+            np.insert(present.edges, stage + 1, starts[1:]).astype(np.int64),
             np.concatenate(
                 [
                     present.logs[:stage],
-                    [present.logs[stage] + change for _, change in parts],
+                    present.logs[stage] + np.array(changes),
                     present.logs[stage + 1 :],
                 ]
             ),
             -np.inf,
         )
-        tried = levelled(evidence, tried, stage + np.arange(len(parts)))
-        limit = threshold(evidence.grains, len(parts) - 1)
-        if tried.evidence > present.evidence + limit:
-            edges[stage : stage + 1] = [at for at, _ in parts]
-            logs[stage : stage + 1] = tried.logs[stage : stage + len(parts)].tolist()
-            changed = True
-    if not changed:
-        return None
-    return Partition(np.array(edges, dtype=np.int64), np.array(logs), -np.inf)
+        own = stage + np.arange(len(starts))
+        tried = levelled(evidence, tried, own)
+        limit = threshold(evidence.grains, len(starts) - 1)
+        if present.evidence + _NEAR * limit < tried.evidence < present.evidence + limit:
+            tried = levelled(evidence, _moved(evidence, tried, own[1:]), own)
+        gain = tried.evidence - present.evidence - limit
+        if gain > max(most, 0.0):
+            best, most = tried, gain
+    return best
 
 
-def _best_window(scores: Scores, first: int, last: int) -> tuple[int, int, float] | None:
-    """Return the window of a stage that promises the greatest gain, and its variance's ratio."""
+def _windows(scores: Scores, first: int, last: int) -> list[tuple[int, int, float]]:
+    """Return windows of a stage, and the ratios of their variances, that promise most.
+
+    One is the best of those at the stage's beginning, one at its end, and of those inside of it one
+    with more and one with less noise: what is promised is a guide, and the evidence decides.
+    """
     size = last - first
     if size < 2:
-        return None
+        return []
     assert scores.information is not None
     part = scores.information[first:last, first:last]
     sums = np.zeros((size + 1, size + 1))
@@ -238,29 +252,34 @@ def _best_window(scores: Scores, first: int, last: int) -> tuple[int, int, float
     own = np.diagonal(sums)
     inside = own[None, :] - 2.0 * sums + own[:, None]
     across = sums[:, -1][None, :] - sums[:, -1][:, None]
-    total = max(sums[-1, -1], 1e-300)
+    total = max(float(sums[-1, -1]), 1e-300)
     information = np.maximum(inside - across**2 / total, 0.0)
     score = slope[None, :] - slope[:, None] - across / total * slope[-1]
     ratio = np.maximum(1.0 + score / np.maximum(information, 1e-300), _SMALL)
     gain = information * (ratio - 1.0 - np.log(ratio))
-    levels = 2.0 - (np.arange(size + 1) == 0)[:, None] - (np.arange(size + 1) == size)[None, :]
-    count = scores.score.size
-    gain -= np.where(levels > 1.0, threshold(count, 2), threshold(count, 1))
-    gain[np.tril_indices(size + 1)] = -np.inf
-    gain[0, size] = -np.inf
-    low, high = np.unravel_index(int(np.argmax(gain)), gain.shape)
-    # The expected gain is a guide; what decides is the evidence.
-    if gain[low, high] < -0.5 * threshold(count, 1):
-        return None
-    return first + int(low), first + int(high), float(min(ratio[low, high], 1e6))
+    index = np.arange(size + 1)
+    gain[index[:, None] >= index[None, :]] = 0.0
+    begins, ends = np.zeros_like(gain, dtype=bool), np.zeros_like(gain, dtype=bool)
+    begins[0], ends[:, -1] = True, True
+    within = ~begins & ~ends
+    found = []
+    for group in (begins & ~ends, ends & ~begins, within & (ratio > 1.0), within & (ratio < 1.0)):
+        promised = np.where(group, gain, 0.0)
+        low, high = np.unravel_index(int(np.argmax(promised)), gain.shape)
+        if promised[low, high] > _PROMISED:
+            place = first + int(low), first + int(high)
+            found.append((*place, float(min(ratio[low, high], 1.0 / _SMALL**3))))
+    return found
 
 
-def _moved(evidence: Evidence, partition: Partition) -> Partition:
-    """Return the partition with its inner edges moved to where the evidence is greatest."""
+def _moved(
+    evidence: Evidence, partition: Partition, which: NDArray[np.int64] | None = None
+) -> Partition:
+    """Return the partition with inner edges, or some of them, moved to the greatest evidence."""
     edges = partition.edges.copy()
     times = np.exp(0.5 * partition.logs)
     best = partition.evidence
-    for index in range(1, edges.size - 1):
+    for index in np.arange(1, edges.size - 1) if which is None else which:
         for _ in range(_ROUNDS):
             here, tried = int(edges[index]), edges.copy()
             found = []

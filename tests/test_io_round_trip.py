@@ -214,6 +214,7 @@ def recordings(draw: st.DrawFn) -> Recording:
         settings=SmoothSettings(
             motion=draw(st.sampled_from(["static", "ballistic", "constant-velocity"])),
             process_noise=draw(st.just("auto") | sigmas | st.tuples(sigmas, sigmas, sigmas)),
+            stages=draw(st.sampled_from([None, "auto", ((-1.5, 2.0), (7.0, 0.25))])),
             spacing_s=draw(st.none() | sigmas),
             loss=draw(st.sampled_from(["auto", "cauchy", "gnc"])),
             max_iterations=draw(st.integers(1, 1000)),

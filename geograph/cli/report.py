@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geograph.results.facts import estimate_text, length_text, rounded, static_facts
+from geograph.results.facts import (
+    estimate_text,
+    length_text,
+    rounded,
+    stage_text,
+    static_facts,
+)
 from geograph.states import RECORDING_NAME
 from geograph.units import fitting_unit
 
@@ -168,6 +174,7 @@ def _notes(results: Results) -> str:
         notes.append("! further than 3 prior sigmas from zero")
     if len(results.sensors) > _MOST_SENSORS:
         notes.append(f"... {len(results.sensors) - _MOST_SENSORS} more sensors in sensors.csv")
+    notes += _stages(results)
     notes += _hypotheses(results)
     curved = (results.summary.get("gaussian") or {}).get("reason")
     if curved and results.static:
@@ -180,6 +187,15 @@ def _notes(results: Results) -> str:
         if len(sentences) > _MOST_NOTES:
             notes.append(f"... {len(sentences) - _MOST_NOTES} more in summary.json ({key})")
     return "\n".join(notes)
+
+
+def _stages(results: Results) -> list[str]:
+    """List the stages of the process noise, where there are several."""
+    found = results.summary.get("stages") or []
+    lines = [stage_text(entry) for entry in found[:_MOST_NOTES]]
+    if len(found) > _MOST_NOTES:
+        lines.append(f"... {len(found) - _MOST_NOTES} more in summary.json (stages)")
+    return lines
 
 
 def _hypotheses(results: Results) -> list[str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geograph.report_page.scene import clocks, readings, time_span
-from geograph.results.facts import estimate_text, length_text, rounded
+from geograph.results.facts import estimate_text, length_text, rounded, stage_text
 from geograph.states import RECORDING_NAME
 from geograph.units import fitting_unit
 
@@ -307,13 +307,14 @@ def settings_sheet(results: Results) -> Sheet:
     rows = [
         [name.replace("_", " "), _plain(value)]
         for name, value in table_of(facts, "settings").items()
-        if value is not None
+        if value is not None and name != "stages"
     ]
     rows += [
         [f"{key.replace('_', ' ')}, as used", _plain(facts[key])]
         for key in ("process_noise", "process_noise_along", "spacing_s", "loss")
         if facts.get(key) is not None
     ]
+    rows += [["stage, as used", stage_text(entry)] for entry in facts.get("stages") or ()]
     speed = facts.get("propagation_speed_m_s")
     rows.append(["propagation speed (m/s)", "infinite" if speed is None else number(speed, 9)])
     return Sheet(head=["setting", "value"], rows=rows)

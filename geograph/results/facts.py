@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,6 +10,8 @@ from geograph.ellipsoids import circular_error_probable_m
 from geograph.units import fitting_unit
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from geograph.results.data import ErrorState, Results
@@ -52,6 +54,17 @@ def length_text(*values_m: float) -> str:
     """Return lengths in one unit, with ``x`` between them."""
     unit = fitting_unit("m", values_m)
     return " x ".join(rounded(value / unit.size) for value in values_m) + f" {unit.name}"
+
+
+def stage_text(stage: Mapping[str, Any]) -> str:
+    """Return a sentence about one stage of the process noise, an entry of the summary's."""
+    noise = stage["process_noise"]
+    values = noise[:1] if len(set(noise)) == 1 else noise
+    text = ", ".join(rounded(value) for value in values)
+    along = stage.get("process_noise_along")
+    if along is not None:
+        text += f" across and {rounded(along)} along the velocity"
+    return f"from {stage['from_s']:.6g} to {stage['to_s']:.6g} s: process noise {text}"
 
 
 def static_facts(results: Results) -> list[tuple[str, str]]:
