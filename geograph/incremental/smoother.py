@@ -107,6 +107,13 @@ class IncrementalSmoother:
                 "GTSAM cannot whiten; expected engine structured",
                 column="engine",
             )
+        for sensor in sensors.values():
+            if sensor.calibrations_s == "auto":
+                raise InputError(
+                    f"sensor {sensor.name!r} has calibrations_s = auto, which only the batch "
+                    "smoother finds; expected their times, or an instability in their place",
+                    column="calibrations_s",
+                )
         template = Recording(
             name="feed",
             frame=frame,
