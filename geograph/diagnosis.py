@@ -256,7 +256,7 @@ def _explain(
     spread = np.sqrt(np.diagonal(solution.elimination.marginals().constants))
     parts, told = [], []
     for column, state in enumerate(problem.states.constants):
-        if state.sensor == index and state.name in error.states:
+        if state.sensor == index and state.stretch == 0 and state.name in error.states:
             told.append(abs(solution.values.constants[column]) > spread[column])
             value = solution.values.constants[column] * state.sigma
             axis = state.name.rpartition("_")[2] if len(error.states) > 2 else state.name

@@ -155,7 +155,7 @@ def _at_path(recording: Recording, settings: SmoothSettings, fit: PathFit) -> Sm
     stand_at(smoother, problem, values)
     if settings.spacing_s is not None:
         # What lies between knots that are wide apart is noise, too.
-        smoother._refresh(values)
+        smoother.bring_up_to_date(values)
     return smoother
 
 

@@ -75,6 +75,16 @@ class Prepared:
         """Time from the first to the last measurement; at least a second."""
         return _span(self.recording)
 
+    def with_sensors(self, sensors: tuple[Sensor, ...]) -> Prepared:
+        """Return the same with sensors that differ in their resets alone."""
+        recording = self.recording
+        active = _active(recording)
+        states = SensorStates(
+            sensors, active, self.states.reference_s, recording.propagation_sigma_m_s
+        )
+        shift = time_shift(states, sensors, active, recording.constraints)
+        return replace(self, sensors=sensors, states=states, shift=shift)
+
     def sensor_families(self) -> list[SensorFamily]:
         """Return fresh families of all that sensors measured."""
         tables: list[Measurements] = [] if self.bearings is None else [self.bearings]
@@ -212,8 +222,7 @@ def prepare(recording: Recording) -> Prepared:
     check_ground(recording)
     table = tables.get("bearings")
     bearings = without_refraction(table, sensors) if isinstance(table, Bearings) else None
-    used = [column for table in tables.values() for column in _sensor_columns(table)]
-    active = [int(index) for index in np.unique(np.concatenate(used))]
+    active = _active(recording)
     _check_constraint_times(recording, [sensors[index] for index in active])
     states = SensorStates(
         sensors, active, recording.time_span_s[0], recording.propagation_sigma_m_s
@@ -222,6 +231,12 @@ def prepare(recording: Recording) -> Prepared:
     shift = time_shift(states, sensors, active, recording.constraints)
     scale = states.chain_scale(_span(recording))
     return Prepared(recording, bearings, sensors, geometry, states, scale, shift)
+
+
+def _active(recording: Recording) -> list[int]:
+    """Return the indices of the sensors that measured something."""
+    used = [column for table in recording.tables.values() for column in _sensor_columns(table)]
+    return [int(index) for index in np.unique(np.concatenate(used))]
 
 
 def _sensor_columns(table: Measurements) -> list[NDArray[np.int64]]:

@@ -115,7 +115,7 @@ class Problem:
         )
         self.scale = np.concatenate([path_scale, np.ones(walk_scale.size)])
         self._chain_start = states.chain_start_sigma()
-        self._chains = states.chain_transitions(self.steps_s, walk_scale)
+        self._chains = states.chain_transitions(knots_s, walk_scale)
         self._sums = [BlockSum(self.layout, path_scale) for _ in self.families]
         self._constant_transitions: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 

@@ -13,6 +13,7 @@ from geograph.eliminate import Marginals
 from geograph.hypotheses import off_terrain
 from geograph.knots import NEGLIGIBLE
 from geograph.observability import WeakDirections, weak_directions
+from geograph.reset_report import reset_facts
 from geograph.robust import thresholds
 from geograph.solver import Status
 from geograph.track import Residuals, SensorEstimate, Track
@@ -251,6 +252,7 @@ def _summary(
             "reason": weak.curved or None,
             "rise_at_one_sigma": weak.curvature,
         },
+        "resets": reset_facts(smoother, track),
         "hypotheses": [entry.facts(track.frame) for entry in smoother.hypotheses],
         "flagged_sensors": [*_flagged(track), *diagnose(smoother, out)],
         "sensors": _per_sensor(smoother, track, out),

@@ -15,6 +15,7 @@ import numpy as np
 from geograph.families import Values
 from geograph.geodesy import geodetic_from_ecef
 from geograph.hypotheses import Hypothesis, off_terrain, weigh
+from geograph.resets import carried
 from geograph.solver import Solution, Status, solve
 
 if TYPE_CHECKING:
@@ -151,7 +152,8 @@ def read_attempt(attempt: Attempt, problem: Problem) -> Values:
     chains = np.zeros((problem.knots_s.size, values.walks.shape[1]))
     for column, chain in enumerate(values.walks.T):
         chains[:, column] = np.interp(problem.knots_s, own.knots_s, chain)
-    return Values(path, chains, values.constants)
+    # Resets may have been found since.
+    return Values(path, chains, carried(own.states, problem.states, values.constants))
 
 
 def _separate(problem: Problem, solution: Solution, values: Values) -> bool:

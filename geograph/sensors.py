@@ -172,6 +172,11 @@ class Sensor:
         are position fixes, each with the independent error ``errors.position_noise_m``, of a
         platform whose path is estimated too: constant velocity, driven by white noise on the
         acceleration of this square root of its spectral density, m/s^1.5 (0: straight and even).
+    calibrations_s
+        Times by its own clock, increasing, at which its errors of azimuth and elevation begin anew:
+        bias, drift and random walk. ``"auto"``: unknown, and to be found.
+    clock_resets_s
+        The same of its clock's error, known.
 
     Raises
     ------
@@ -187,6 +192,8 @@ class Sensor:
     correlation: float = 0.0
     refraction: Refraction = "none"
     platform_process_noise: float | None = None
+    calibrations_s: tuple[float, ...] | Literal["auto"] = ()
+    clock_resets_s: tuple[float, ...] = ()
     attitude_rad: NDArray[np.float64] | None = None
     unusual_attitude: bool = False
 
@@ -215,6 +222,35 @@ class Sensor:
             )
         self._check_attitude()
         self._check_platform()
+        self._check_resets()
+
+    def _check_resets(self) -> None:
+        errors = self.errors
+        pointing = (
+            errors.azimuth_bias_rad, errors.azimuth_drift_rad_s,
+            errors.azimuth_instability_rad_sqrt_s, errors.elevation_bias_rad,
+            errors.elevation_drift_rad_s, errors.elevation_instability_rad_sqrt_s,
+        )  # fmt: skip
+        clock = errors.clock_offset_s, errors.clock_drift_s_s, errors.clock_instability_s_sqrt_s
+        for name, known, what in (
+            ("calibrations_s", pointing, "bias, drift or instability of azimuth or elevation"),
+            ("clock_resets_s", clock, "clock offset, drift or instability"),
+        ):
+            times = getattr(self, name)
+            if times == "auto" and name == "calibrations_s":
+                times = (0.0,)
+            elif isinstance(times, str) or not (
+                np.isfinite(times).all() and (np.diff(times) > 0.0).all()
+            ):
+                raise InputError(
+                    f"sensor {self.name!r} has {name} {times!r}; expected increasing times in "
+                    f"seconds{', or auto' if name == 'calibrations_s' else ''}"
+                )
+            if times and not max(known) > 0.0:
+                raise InputError(
+                    f"sensor {self.name!r} has {name} and no error that begins anew; expected a "
+                    f"{what} above 0 beside it"
+                )
 
     def _check_attitude(self) -> None:
         if self.errors.misalignment_rad > 0.0 and self.axes != "body":

@@ -22,6 +22,7 @@ from geograph.prepare import Prepared, prepare
 from geograph.problem import Problem
 from geograph.range_retries import further_fits
 from geograph.report import make_track
+from geograph.resets import Resets, find_resets, searched
 from geograph.rivals import Attempt, Rival, find_rivals
 from geograph.robust import anneal, thresholds
 from geograph.solver import Solution, Status, solve
@@ -78,6 +79,8 @@ class Smoother:
         Other paths that fit as well.
     culprits
         A sentence where another sensor than the one left out could be the wrong one.
+    resets
+        Times of the resets that were found, by the sensor's index.
     hypotheses
         All minima that were found, with their weights, the estimate first; empty if it is alone.
     """
@@ -92,6 +95,7 @@ class Smoother:
     attempts: list[Attempt] = field(default_factory=list)
     rivals: list[Rival] = field(default_factory=list)
     hypotheses: list[Hypothesis] = field(default_factory=list)
+    resets: Resets = field(default_factory=dict)
     ignored: float = 0.0
     undecided: bool = False
     culprits: str | None = None
@@ -142,6 +146,9 @@ class Smoother:
             self.change(self.problem)
         if automatic:
             tune_noise(self, 4.0)
+        if self._find_resets(trial) and automatic:
+            # A path that had to follow the jumps need not any more.
+            tune_noise(self, 4.0)
         if self.robust:
             self._reject(trial)
         if automatic:
@@ -149,9 +156,21 @@ class Smoother:
             tune_direction(self)
         if settings.stages == "auto":
             tune_stages(self)
+        if find_resets(self) and self.robust:
+            self._reject(trial)
         self._settle()
         self._compare()
         self.culprits = other_culprits(self)
+
+    def _find_resets(self, trial: Loss) -> bool:
+        """Find resets before outliers, which the measurements after one would be taken for."""
+        if not searched(self.prepared):
+            return False
+        if self.robust and self.problem.loss != trial:
+            square = self.squares(self.problem, self.solution.values)
+            if (square > thresholds(np.zeros_like(square), self.rows, self.group)).any():
+                self.change(self.problem.with_weights(self.problem.weights, trial))
+        return find_resets(self)
 
     def _attempt(self, fit: PathFit, problem: Problem, values: Values, limit: int | None) -> None:
         """Solve from a first guess; attempts stay in order of their costs."""
@@ -195,6 +214,10 @@ class Smoother:
         """Return the problem and the values that a first guess leads to."""
         problem, values, self.resolution = start(self.prepared, self.settings, fit, loss)
         return problem, values
+
+    def solved(self, values: Values) -> Solution:
+        """Return the solution of the present problem from a first guess."""
+        return self._solve(self.problem, values)
 
     def _solve(self, problem: Problem, values: Values, limit: int | None = None) -> Solution:
         """Solve, counting the iterations."""
@@ -302,7 +325,7 @@ class Smoother:
             shift=problem.shift,
             stages=problem.stages,
         )
-        self._refresh(values)
+        self.bring_up_to_date(values)
         self.solution = self._solve(self.problem, values)
 
     def _values_at(self, knots_s: NDArray[np.float64]) -> Values:
@@ -315,7 +338,7 @@ class Smoother:
         ) if values.walks.shape[1] else np.zeros((knots_s.size, 0))  # fmt: skip
         return Values(state, walks, values.constants)
 
-    def _refresh(self, values: Values) -> None:
+    def bring_up_to_date(self, values: Values) -> None:
         """Bring geometry-dependent noise and the walks' times up to date."""
         motion = self.problem.motion
         steps = self.problem.steps_s
@@ -359,7 +382,7 @@ class Smoother:
                 if times.min() < knots[0] - slack or times.max() > knots[-1] + slack:
                     self.respace()
                     continue
-            self._refresh(before)
+            self.bring_up_to_date(before)
             cost = self.problem.cost(before)
             if abs(cost - self.solution.cost) <= 1e-6 * max(1.0, cost):
                 break

@@ -6,7 +6,9 @@ An error of a sensor at time t is
 
 with t the time tag and t0 the recording's first one. Bias and drift are constants of the pass and
 stand in one vector of all sensors; a walk is a chain with a value at every knot, interpolated
-linearly, and stands in the knots' states behind the path. All are scaled: bias and drift by their
+linearly, and stands in the knots' states behind the path. At a reset, as a calibration is one, an
+error begins anew: with a bias and a drift of its own, counted from there, and a walk from zero
+(:mod:`geograph.stretches`). All are scaled: bias and drift by their
 prior sigma, a walk by what its diffusion adds over the pass. (So a clock, which is in seconds here,
 is of order one for the solver, as it would be in metres.)
 
@@ -24,6 +26,7 @@ import numpy as np
 
 from geograph.factors.kinematics import interpolation_weights, noise_square_root, transition
 from geograph.platforms import Platform, platforms_of
+from geograph.stretches import Stretches, WalkCuts, clock_resets_s, pointing_resets_s
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -75,6 +78,9 @@ RECORDING_NAME: Final = "(recording)"
 # large enough to keep the system well conditioned.
 _WALK_START_SIGMA = 1e-3
 
+# A reset leaves this much of a walk, for a transition that leaves nothing has no inverse.
+_WALK_LEFT = 1e-3
+
 # The first knot's prior of a platform is this many of its scales wide: its fixes do not feel it.
 _PLATFORM_START_SIGMA = 1e4
 
@@ -93,16 +99,27 @@ class SensorState:
         Whether it multiplies the time since the first measurement.
     sigma
         Prior standard deviation, SI; also its scale.
+    stretch
+        How many resets of the error were before.
     """
 
     sensor: int
     channel: int
     drift: bool
     sigma: float
+    stretch: int = 0
 
     @property
     def name(self) -> str:
-        """Name in results: ``azimuth_bias``, ``clock_offset``, ``clock_drift``, ``position_x``."""
+        """Name in results: ``azimuth_bias``, ``clock_offset``, ``clock_drift``, ``position_x``.
+
+        After the first reset ``azimuth_bias_2``, after the second ``azimuth_bias_3``.
+        """
+        return self.kind if self.stretch == 0 else f"{self.kind}_{self.stretch + 1}"
+
+    @property
+    def kind(self) -> str:
+        """Name whatever the stretch: ``azimuth_bias``."""
         name = CHANNEL_NAMES[self.channel]
         if self.drift:
             return f"{name}_drift"
@@ -169,6 +186,13 @@ class SensorStates:
         propagation_sigma_m_s: float = 0.0,
     ) -> None:
         self.reference_s = reference_s
+        self.stretches = Stretches(
+            [
+                dict.fromkeys((AZIMUTH, ELEVATION), pointing_resets_s(sensor))
+                | {CLOCK: clock_resets_s(sensor)}
+                for sensor in sensors
+            ]
+        )
         self.constants: list[SensorState] = []
         self.walks: list[Walk] = []
         for index in active:
@@ -182,10 +206,11 @@ class SensorStates:
                 *((MISALIGNMENT + axis, errors.misalignment_rad, 0.0) for axis in range(3)),
             )
             for channel, bias, drift in table:
-                if bias > 0.0:
-                    self.constants.append(SensorState(index, channel, False, bias))
-                if drift > 0.0:
-                    self.constants.append(SensorState(index, channel, True, drift))
+                for stretch in range(self.stretches.of(index, channel).size + 1):
+                    if bias > 0.0:
+                        self.constants.append(SensorState(index, channel, False, bias, stretch))
+                    if drift > 0.0:
+                        self.constants.append(SensorState(index, channel, True, drift, stretch))
             for channel, diffusion in (
                 (AZIMUTH, errors.azimuth_instability_rad_sqrt_s),
                 (ELEVATION, errors.elevation_instability_rad_sqrt_s),
@@ -198,15 +223,11 @@ class SensorStates:
         self.platforms: list[Platform] = platforms_of(sensors, active)
         count = len(sensors)
         self.sigma = np.array([state.sigma for state in self.constants])
-        self.bias_column = np.full((count, CHANNELS), -1, dtype=np.int64)
-        self.drift_column = np.full((count, CHANNELS), -1, dtype=np.int64)
-        for column, state in enumerate(self.constants):
-            target = self.drift_column if state.drift else self.bias_column
-            owners = slice(None) if state.sensor == NO_SENSOR else state.sensor
-            target[owners, state.channel] = column
+        self._tabulate()
         self.walk_column = np.full((count, CHANNELS), -1, dtype=np.int64)
         for column, walk in enumerate(self.walks):
             self.walk_column[walk.sensor, walk.channel] = column
+        self.walk_resets_s = [self.stretches.of(walk.sensor, walk.channel) for walk in self.walks]
         self.platform_column = np.full(count, -1, dtype=np.int64)
         for index, platform in enumerate(self.platforms):
             self.platform_column[platform.sensor] = len(self.walks) + 6 * index
@@ -215,6 +236,23 @@ class SensorStates:
             [*(state.channel for state in self.constants), *(walk.channel for walk in self.walks)]
         )
         """Channels of error that have a bias, a drift or a walk."""
+
+    def _tabulate(self) -> None:
+        """Make tables of the constants' columns: a row for each sensor, and for each stretch."""
+        shape = self.stretches.rows, CHANNELS
+        self.bias_column = np.full(shape, -1, dtype=np.int64)
+        self.drift_column = np.full(shape, -1, dtype=np.int64)
+        self.since_s = np.full(shape, self.reference_s)
+        for column, state in enumerate(self.constants):
+            target = self.drift_column if state.drift else self.bias_column
+            if state.sensor == NO_SENSOR:
+                target[:, state.channel] = column
+                continue
+            own = self.stretches.rows_of(state.sensor, state.channel, state.stretch)
+            target[own, state.channel] = column
+            if state.stretch:
+                resets = self.stretches.of(state.sensor, state.channel)
+                self.since_s[own, state.channel] = resets[state.stretch - 1]
 
     @property
     def size(self) -> int:
@@ -247,22 +285,30 @@ class SensorStates:
         )
 
     def chain_transitions(
-        self, steps_s: NDArray[np.float64], scale: NDArray[np.float64]
+        self, knots_s: NDArray[np.float64], scale: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the chains' transitions and noise roots, each shape (K - 1, w, w), scaled.
 
         Parameters
         ----------
-        steps_s
-            Shape (K - 1,): intervals between the knots.
+        knots_s
+            Shape (K,): times of the knots.
         scale
             Shape (w,): from :meth:`chain_scale`.
         """
+        steps_s = np.diff(knots_s)
         count, size = steps_s.size, self.chains
         matrix = np.broadcast_to(np.eye(size), (count, size, size)).copy()
         root = np.zeros((count, size, size))
         walk = np.arange(len(self.walks))
         root[:, walk, walk] = self.diffusion * np.sqrt(steps_s)[:, None]
+        for column, resets in enumerate(self.walk_resets_s):
+            before = np.searchsorted(resets, knots_s, side="right")
+            cut = np.flatnonzero(np.diff(before))
+            matrix[cut, column, column] = _WALK_LEFT
+            since = knots_s[cut + 1] - resets[before[cut + 1] - 1]
+            own = self.diffusion[column] * np.sqrt(since)
+            root[cut, column, column] = np.hypot(_WALK_START_SIGMA * scale[column], own)
         for index, platform in enumerate(self.platforms):
             first = len(self.walks) + 6 * index
             own = slice(first, first + 6)
@@ -336,25 +382,28 @@ class SensorErrorTerms:
         chain_scale: NDArray[np.float64],
     ) -> None:
         self.count = sensor.size
-        since = time_s - states.reference_s
         constants: list[tuple[NDArray[Any], ...]] = []
-        for columns, basis in (
-            (states.bias_column, np.ones_like(since)),
-            (states.drift_column, since),
-        ):
+        stretch = states.stretches.row(sensor, time_s)
+        for columns in (states.bias_column, states.drift_column):
             if not (columns >= 0).any():
                 continue
-            row, channel = np.nonzero(columns[sensor] >= 0)
-            column = columns[sensor[row], channel]
-            constants.append((row, channel, column, basis[row] * states.sigma[column]))
+            row, channel = np.nonzero(columns[stretch] >= 0)
+            column = columns[stretch[row], channel]
+            basis = np.ones(row.size)
+            if columns is states.drift_column:
+                basis = time_s[row] - states.since_s[stretch[row], channel]
+            constants.append((row, channel, column, basis * states.sigma[column]))
         self.constants = _by_row(_joined(constants)) if constants else _NONE
         if not states.chains:
-            self.chains, self._walks, self._term = _NONE, 0, _NONE.row
+            self.chains, self._walks, self._term, self._cuts = _NONE, 0, _NONE.row, None
             return
         row, channel = np.nonzero(states.walk_column[sensor] >= 0)
         column = states.walk_column[sensor[row], channel]
         parts: list[tuple[NDArray[Any], ...]] = [(row, channel, column, chain_scale[column])]
         self._walks = row.size
+        self._cuts = (
+            WalkCuts.of(states.walk_resets_s, column, time_s[row]) if states.stretches.any else None
+        )
         # Of a platform's cubic between two knots: which weight, and which derivative.
         terms = []
         row = np.flatnonzero(states.platform_column[sensor] >= 0)
@@ -368,6 +417,11 @@ class SensorErrorTerms:
                     terms.append(np.full(row.size, 2 * derivative + block))
         self.chains = _joined(parts)
         self._term = np.concatenate(terms) if row.size else np.empty(0, dtype=np.int64)
+
+    @property
+    def cut(self) -> bool:
+        """Whether random walks begin anew between knots somewhere."""
+        return self._cuts is not None
 
     def share(
         self,
@@ -395,6 +449,9 @@ class SensorErrorTerms:
         # Beyond the interval a walk is what it was at the nearer knot: the mean of its prior there.
         after = np.clip(offset / step, 0.0, 1.0)
         before = 1.0 - after
+        if self._cuts is not None:
+            own = slice(None, self._walks)
+            before[own], after[own] = self._cuts.weighed(knots_s, at[own], before[own], after[own])
         if self._term.size:
             own = slice(self._walks, None)
             weights = np.stack(

@@ -128,11 +128,17 @@ def time_shift(
     constraints
         Those at given times tie the path to time.
     """
-    offsets = [int(states.bias_column[index, CLOCK]) for index in active]
+    clocks = [int(states.bias_column[index, CLOCK]) for index in active]
     moving = any(sensors[index].trajectory is not None for index in active)
     timed = constraints is not None and bool(np.isfinite(constraints.time_s).any())
-    if moving or timed or min(offsets, default=-1) < 0:
+    if moving or timed or min(clocks, default=-1) < 0:
         return None
+    # Those of every stretch: the shift moves a clock before and after it is set.
+    offsets = [
+        column
+        for column, state in enumerate(states.constants)
+        if state.channel == CLOCK and not state.drift
+    ]
     by_shift = np.zeros(states.size)
     by_shift[offsets] = 1.0 / states.sigma[offsets]
     length = float(np.linalg.norm(by_shift))

@@ -14,6 +14,7 @@ from geograph.geodesy import enu_axes, geodetic_from_ecef
 from geograph.motion import kron_stack
 from geograph.path import BallisticPath
 from geograph.states import CHANNEL_NAMES
+from geograph.stretches import WalkCuts
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -361,13 +362,14 @@ class Track(TrackPoints):
             self.problem.states, names.index(sensor), CHANNEL_NAMES.index(kind)
         )  # fmt: skip
         by_constants = np.zeros((time.size, states.size))
+        row = states.stretches.row(np.full(time.size, index), time)
         for columns, basis in (
             (states.bias_column, np.ones_like(time)),
-            (states.drift_column, time - states.reference_s),
+            (states.drift_column, time - states.since_s[row, channel]),
         ):
-            column = columns[index, channel]
-            if column >= 0:
-                by_constants[:, column] = basis * states.sigma[column]
+            column = columns[row, channel]
+            own = np.flatnonzero(column >= 0)
+            by_constants[own, column[own]] = basis[own] * states.sigma[column[own]]
         estimate = by_constants @ self.values.constants
         variance = np.einsum("ni,ij,nj->n", by_constants, self.marginals.constants, by_constants)
         walk = int(states.walk_column[index, channel])
@@ -390,6 +392,13 @@ class Track(TrackPoints):
         k = place.interval
         after = place.offset_s / place.step_s
         before = 1.0 - after
+        # What the walk may do between the knots, and beyond them.
+        free = place.step_s * before * after + np.abs(time_s - inside)
+        if self.problem.states.walk_resets_s[walk].size:
+            cuts = WalkCuts.of(
+                self.problem.states.walk_resets_s, np.full(time_s.size, walk), time_s
+            )
+            before, after = cuts.weighed(self.time_s, k, before, after)
         column = self.state.shape[1] + walk
         marginals = self.marginals
         value = before * self.values.walks[k, walk] + after * self.values.walks[k + 1, walk]
@@ -403,7 +412,5 @@ class Track(TrackPoints):
             + after[:, None] * marginals.knot_constants[k + 1, column]
         )
         both = np.einsum("ni,ni->n", cross, by_constants)
-        # What the walk may do between the knots, and beyond them.
-        free = place.step_s * before * after + np.abs(time_s - inside)
         wander = self.problem.states.diffusion[walk] ** 2 * free
         return scale * value, scale**2 * own + 2.0 * scale * both + wander

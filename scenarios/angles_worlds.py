@@ -76,6 +76,14 @@ class AnglesWorld:
         Limits between which the constants of each sensor and angle are uniform.
     accelerometer
         The unit that points each sensor; None: pointing is perfect but for the above.
+    calibrations
+        Least and greatest number of calibrations of each sensor in a pass, at random times: the
+        bias, drift and random walk of both angles begin anew.
+    jump_rad
+        By how much the angles jump at a calibration, in a random direction; None: they are drawn
+        again.
+    calibrations_known
+        Whether the recording tells when calibrations were, those of the accelerometer included.
     clock_offset_s
         Limit of the constant error of each sensor's time tags.
     outliers
@@ -104,6 +112,9 @@ class AnglesWorld:
     drift_rad_s: float = 0.0
     instability_rad_sqrt_s: float = 0.0
     accelerometer: Accelerometer | None = None
+    calibrations: tuple[int, int] = (0, 0)
+    jump_rad: float | None = None
+    calibrations_known: bool = True
     clock_offset_s: float = 0.0
     outliers: int = 0
     perigee_m: tuple[float, float] = (1000e3, 4000e3)
@@ -111,7 +122,7 @@ class AnglesWorld:
     windows: int = 40
 
     def __post_init__(self) -> None:
-        for what in ("sensors", "bearings", "perigee_m", "eccentricity"):
+        for what in ("sensors", "bearings", "calibrations", "perigee_m", "eccentricity"):
             low, high = getattr(self, what)
             if low > high:
                 raise ValueError(f"{what} from {low} to {high}; expected the lower limit first")
@@ -121,10 +132,12 @@ class AnglesWorld:
     def errors(self) -> SensorErrors:
         """Return the prior standard deviations: those of the uniform draws.
 
-        What accumulates between calibrations is told in :func:`between_calibrations`.
+        What accumulates between known calibrations is told in :func:`between_calibrations`.
         """
         third = 1.0 / np.sqrt(3.0)
         walk = third * self.instability_rad_sqrt_s
+        if self.accelerometer is not None and not self.calibrations_known:
+            walk = float(np.hypot(walk, self._walk_of_unknown_age(self.accelerometer)))
         return SensorErrors(
             azimuth_bias_rad=third * self.bias_rad,
             elevation_bias_rad=third * self.bias_rad,
@@ -134,6 +147,12 @@ class AnglesWorld:
             elevation_instability_rad_sqrt_s=walk,
             clock_offset_s=third * self.clock_offset_s,
         )
+
+    def _walk_of_unknown_age(self, unit: Accelerometer) -> float:
+        """Return the diffusion of a random walk with the mean square of what accumulates."""
+        mean, time = unit.calibration_s, np.linspace(0.0, self.duration_s, 2001)
+        age = float(np.mean(mean * -np.expm1(-time / mean)))
+        return unit.rms_rad(self.duration_s) / float(np.sqrt(age))
 
     @property
     def total_sigma_rad(self) -> float:
@@ -172,6 +191,7 @@ _SPRANG_ERRORS: dict[str, Any] = {
     "accelerometer": Accelerometer(resolution_rad_s2=1.2e-6),
     "windows": 80,
 }
+_RECALIBRATED = "after Levy et al. (ISPRS), with calibrations"
 _LEVY_ERRORS: dict[str, Any] = {
     "sigma_rad": 5e-6,
     "bias_rad": 500e-6,
@@ -193,18 +213,33 @@ WORLDS: dict[str, AnglesWorld] = {
 }
 """The published worlds, by name."""
 
+CALIBRATED: dict[str, AnglesWorld] = {
+    world.name: world
+    for world in (
+        replace(
+            WORLDS[f"levy-{path}"],
+            name=f"levy-{path}-calibrated",
+            source=_RECALIBRATED,
+            calibrations=(0, 3),
+            calibrations_known=False,
+        )
+        for path in ("simple", "staged")
+    )
+}
+"""Those of Levy et al. with calibrations at random times that the recording does not tell."""
+
 
 def variant(name: str, **changes: Any) -> AnglesWorld:
-    """Return one of the published worlds with other parameters.
+    """Return one of the worlds with other parameters.
 
     Parameters
     ----------
     name
-        Of :data:`WORLDS`.
+        Of :data:`WORLDS` or :data:`CALIBRATED`.
     **changes
         Fields of :class:`AnglesWorld`.
     """
-    return replace(WORLDS[name], **changes)
+    return replace((WORLDS | CALIBRATED)[name], **changes)
 
 
 def angles_trial(seed: int, world: AnglesWorld) -> World:
@@ -238,7 +273,7 @@ def angles_trial(seed: int, world: AnglesWorld) -> World:
         truth=truth_table(path, (margin, world.duration_s - margin), step_s=_TRUTH_STEP_S),
         draw="uniform",
     )
-    if world.accelerometer is None:
+    if world.accelerometer is None or not world.calibrations_known:
         return made
     calibrations = [
         np.empty(0) if station.accumulated is None else station.accumulated.calibration_s
@@ -317,12 +352,20 @@ def _station(streams: Streams, path: Body, world: AnglesWorld, *, index: int) ->
         )
 
     unit = world.accelerometer
+    times = np.empty(0)
+    if world.calibrations[1] > 0:
+        count = int(streams.calibrations.integers(*world.calibrations, endpoint=True))
+        times = np.sort(streams.calibrations.uniform(0.0, world.duration_s, count))
     return Station(
         name=f"S{index + 1}",
         body=draw_seeing(draw, path, world.duration_s, axes="xyz"),
         axes="xyz",
         errors=world.errors(),
         accumulated=None if unit is None else accumulate(streams.walks, unit, world.span_s),
+        calibration_s=times,
+        jump_rad=world.jump_rad,
+        # Those of an accelerometer are stretches of their own where they are known.
+        calibrations_known=world.calibrations_known,
     )
 
 

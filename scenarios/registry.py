@@ -17,7 +17,7 @@ from geograph.scenarios import parameters as parameters_of
 from geograph.scenarios.airborne import SCENARIOS as KALLIN
 from geograph.scenarios.airborne import Airborne, beyond
 from geograph.scenarios.airborne_recordings import recordings as airborne_recordings
-from geograph.scenarios.angles_worlds import WORLDS, angles_trial
+from geograph.scenarios.angles_worlds import CALIBRATED, WORLDS, angles_trial
 from geograph.scenarios.ground import GroundPass, ground_world
 from geograph.scenarios.low_orbit import LowOrbit, low_orbit_world
 from geograph.scenarios.moving_sensors import VARIANTS, MovingSensors
@@ -62,6 +62,9 @@ class Scenario:
         Gives the recording, with its truth, of a seed and a kind.
     hidden
         Fields of the kind that are no parameters.
+    beside
+        Gives the text of further files that lie beside the recording's, by their names: what its
+        sensors hide. None: there are none.
     """
 
     name: str
@@ -70,6 +73,7 @@ class Scenario:
     kind: Callable[[], Any]
     recording: Callable[[int, Any], Recording]
     hidden: frozenset[str] = field(default=frozenset({"name", "source"}))
+    beside: Callable[[int, Any], dict[str, str]] | None = None
 
     def parameters(self) -> dict[str, Value]:
         """Return its parameters and their defaults."""
@@ -115,6 +119,12 @@ class Scenario:
             )
         return made
 
+    def files_beside(self, seed: int, values: Mapping[str, Value] | None = None) -> dict[str, str]:
+        """Return the text of the files beside the recording of :meth:`simulate`, by their names."""
+        if self.beside is None:
+            return {}
+        return self.beside(seed, parameters_of.changed(self.kind(), dict(values or {})))
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Degenerate:
@@ -159,8 +169,10 @@ def _satellites() -> Iterator[Scenario]:
         "sprang-staged": "The same, the object driven by random forces in stages",
         "levy-simple": "Satellites watch one in free fall; biases, drifts and instabilities",
         "levy-staged": "The same, the object driven by random forces in stages",
+        "levy-simple-calibrated": "The same as levy-simple, with calibrations at unknown times",
+        "levy-staged-calibrated": "The same as levy-staged, with calibrations at unknown times",
     }
-    for name, world in WORLDS.items():
+    for name, world in (WORLDS | CALIBRATED).items():
         unused = {"stages"} if world.path == "simple" else set()
         yield Scenario(
             name=name,
@@ -168,6 +180,7 @@ def _satellites() -> Iterator[Scenario]:
             source=_SPRANG if name.startswith("sprang") else _LEVY,
             kind=partial(_given, world),
             recording=lambda seed, kind: angles_trial(seed, kind).recording,
+            beside=lambda seed, kind: angles_trial(seed, kind).sensor_truth.files(),
             hidden=frozenset({"name", "source", "path", "windows"} | unused),
         )
     yield Scenario(

@@ -6,7 +6,7 @@ reception + clock error*. Drifts and walks are counted from the first reception 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -14,6 +14,8 @@ import numpy as np
 from geograph.scenarios.observation import angles_from_direction, direction_from_angles
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from geograph.scenarios.observation import SeenAxes
@@ -137,6 +139,70 @@ def error_history(
             errors.elevation_instability_rad_sqrt_s,
         ),
         history(errors.clock_offset_s, errors.clock_drift_s_s, errors.clock_instability_s_sqrt_s),
+    )
+
+
+def stretch_history(
+    rng: np.random.Generator,
+    stretches: Sequence[TrueErrors],
+    calibration_s: NDArray[np.float64],
+    elapsed_s: NDArray[np.float64],
+) -> ErrorHistory:
+    """Return errors that begin anew at calibrations, each counted from its own.
+
+    Parameters
+    ----------
+    rng
+        Source of randomness of the walks.
+    stretches
+        The constants before the first calibration, and after each.
+    calibration_s
+        Shape (k,), increasing: when they were, counted as ``elapsed_s``.
+    elapsed_s
+        Shape (n,), increasing, as in :func:`error_history`.
+    """
+    begun = np.concatenate([[0.0], calibration_s])
+    cuts = np.searchsorted(elapsed_s, calibration_s).tolist()
+    parts = [
+        error_history(rng, errors, elapsed_s[low:high] - since)
+        for errors, since, low, high in zip(
+            stretches, begun.tolist(), [0, *cuts], [*cuts, elapsed_s.size], strict=True
+        )
+    ]
+    return ErrorHistory(
+        *(np.concatenate(columns) for columns in zip(*map(_columns, parts), strict=True))
+    )
+
+
+def _columns(history: ErrorHistory) -> tuple[NDArray[np.float64], ...]:
+    return history.azimuth_rad, history.elevation_rad, history.clock_s
+
+
+def jumped(
+    rng: np.random.Generator, errors: TrueErrors, elapsed_s: float, jump_rad: float
+) -> TrueErrors:
+    """Return the constants after a jump of given size, in a random direction.
+
+    Parameters
+    ----------
+    rng
+        Source of randomness.
+    errors
+        Before it.
+    elapsed_s
+        How long these had lasted; their drifts go on.
+    jump_rad
+        Root of the sum of the squares of the jumps of azimuth and elevation.
+    """
+    angle = float(rng.uniform(0.0, 2.0 * np.pi))
+    return replace(
+        errors,
+        azimuth_bias_rad=errors.azimuth_bias_rad
+        + errors.azimuth_drift_rad_s * elapsed_s
+        + jump_rad * np.cos(angle),
+        elevation_bias_rad=errors.elevation_bias_rad
+        + errors.elevation_drift_rad_s * elapsed_s
+        + jump_rad * np.sin(angle),
     )
 
 

@@ -1,13 +1,15 @@
 """Simulated worlds: an object, sensors with errors, and the recording that these make.
 
 The random numbers of a world come from independent streams of one seed (path, sensors, times,
-errors, noise, outliers), so that two worlds that differ in one of them agree in the others.
+errors, noise, outliers, calibrations), so that two worlds that differ in one of them agree in the
+others.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,8 +26,10 @@ from geograph.scenarios.sensor_errors import (
     correlated_normals,
     draw_errors,
     draw_outliers,
-    error_history,
+    jumped,
+    stretch_history,
 )
+from geograph.scenarios.sensor_truth import SensorTruth
 from geograph.sensors import Sensor, SensorErrors, Trajectory
 
 if TYPE_CHECKING:
@@ -53,11 +57,12 @@ class Streams:
     walks: np.random.Generator
     noise: np.random.Generator
     outliers: np.random.Generator
+    calibrations: np.random.Generator
 
     @classmethod
     def from_seed(cls, seed: int) -> Streams:
         """Return the streams of a seed, a whole number of at least 0."""
-        return cls(*(np.random.default_rng(part) for part in np.random.SeedSequence(seed).spawn(7)))
+        return cls(*(np.random.default_rng(part) for part in np.random.SeedSequence(seed).spawn(8)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,6 +83,12 @@ class Station:
         Correlation of its noise from one measurement to all others.
     accumulated
         Pointing errors that add to those which ``errors`` describe.
+    calibration_s
+        Shape (k,): times at which the errors of pointing begin anew, seconds.
+    jump_rad
+        By how much they then jump; None: they are drawn again.
+    calibrations_known
+        Whether the recording has those times, or says that there are some.
     table_step_s
         Step of the trajectory in the recording of a sensor that moves, seconds. At 2 s the cubic
         spline through a low orbit is good to 0.1 mm.
@@ -89,6 +100,9 @@ class Station:
     errors: SensorErrors = field(default_factory=SensorErrors)
     correlation: float = 0.0
     accumulated: AccumulatedBias | None = None
+    calibration_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    jump_rad: float | None = None
+    calibrations_known: bool = True
     table_step_s: float = 2.0
 
     def sensor(self, span_s: tuple[float, float]) -> Sensor:
@@ -100,6 +114,7 @@ class Station:
             nodes = max(int(np.ceil((span_s[1] - span_s[0]) / self.table_step_s)) + 1, 4)
             time = np.linspace(span_s[0], span_s[1], nodes)
             trajectory = Trajectory(time, np.asarray(self.body.position_at(time)))
+        known = tuple(self.calibration_s.tolist())
         return Sensor(
             name=self.name,
             position_m=position,
@@ -107,7 +122,22 @@ class Station:
             axes=self.axes,
             errors=self.errors,
             correlation=self.correlation,
+            calibrations_s=known if self.calibrations_known else "auto",
         )
+
+    def drawn(self, rng: np.random.Generator, draw: Draw, start_s: float) -> list[TrueErrors]:
+        """Return its errors before the first calibration, and after each, from a start, seconds."""
+        stretches = [draw_errors(rng, self.errors, draw=draw)]
+        for begun, ended in pairwise([start_s, *self.calibration_s.tolist()]):
+            before = stretches[-1]
+            if self.jump_rad is not None:
+                stretches.append(jumped(rng, before, ended - begun, self.jump_rad))
+                continue
+            after = draw_errors(rng, self.errors, draw=draw)
+            # What is wrong with its clock is no matter of pointing.
+            clock = {n: getattr(before, n) for n in vars(before) if n.startswith("clock")}
+            stretches.append(replace(after, **clock))
+        return stretches
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -126,6 +156,8 @@ class World:
         Shape (n,): true times of the rows of ``recording.bearings``, seconds.
     outlier
         Shape (n,), bool: which rows are gross errors.
+    sensor_truth
+        The errors of every sensor at its measurements, and its calibrations.
     """
 
     recording: Recording
@@ -134,6 +166,7 @@ class World:
     reception_time_s: NDArray[np.float64]
     emission_time_s: NDArray[np.float64]
     outlier: NDArray[np.bool_]
+    sensor_truth: SensorTruth
 
 
 def uniform_times(
@@ -237,14 +270,22 @@ def make_world(
     )
     azimuth, elevation, tag = seen.azimuth_rad.copy(), seen.elevation_rad.copy(), time.copy()
     errors = {}
+    wrongs = np.empty((time.size, 3))
+    start = float(time.min())
     for index, station in enumerate(stations):
         rows = sensor == index
-        truths = draw_errors(streams.errors, station.errors, draw=draw)
-        wrong = error_history(streams.walks, truths, time[rows] - time.min())
-        errors[station.name] = truths
+        truths = station.drawn(streams.errors, draw, start)
+        wrong = stretch_history(
+            streams.walks, truths, station.calibration_s - start, time[rows] - start
+        )
+        errors[station.name] = truths[0]
         tag[rows] += wrong.clock_s
         held = station.accumulated
         more = np.zeros((int(rows.sum()), 2)) if held is None else held.at(time[rows])
+        wrongs[rows] = np.stack(
+            [wrong.azimuth_rad + more[:, 0], wrong.elevation_rad + more[:, 1], wrong.clock_s],
+            axis=1,
+        )
         azimuth[rows], elevation[rows] = _measure(
             streams.noise,
             azimuth[rows] + wrong.azimuth_rad + more[:, 0],
@@ -289,7 +330,20 @@ def make_world(
         reception_time_s=time[order],
         emission_time_s=seen.emission_time_s[order],
         outlier=outlier[order],
+        sensor_truth=SensorTruth(
+            names=tuple(station.name for station in stations),
+            time_s=tag[order],
+            sensor=sensor[order],
+            error=wrongs[order],
+            calibration_s=tuple(map(_calibrations, stations)),
+        ),
     )
+
+
+def _calibrations(station: Station) -> NDArray[np.float64]:
+    if station.accumulated is not None:
+        return station.accumulated.calibration_s
+    return station.calibration_s
 
 
 def _measure(

@@ -17,6 +17,7 @@ from geograph.geodesy import ecef_from_geodetic, enu_axes
 from geograph.measurements import Bearings, Truth
 from geograph.recording import Recording, SmoothSettings
 from geograph.sensors import Sensor, SensorErrors, Trajectory
+from geograph.stretches import Stretches
 
 LATITUDE, LONGITUDE = 51.93, -2.2
 
@@ -100,7 +101,11 @@ def make_track(
             np.full(np.shape(t), 3e-5),
         ),
         residuals=residuals,
-        problem=SimpleNamespace(states=SimpleNamespace(platforms=[])),
+        problem=SimpleNamespace(
+            states=SimpleNamespace(
+                platforms=[], stretches=Stretches([{} for _ in recording.sensors])
+            )
+        ),
         status=MadeStatus(status),
         summary=_summary(name, status, residuals, table, knots),
     )

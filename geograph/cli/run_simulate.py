@@ -84,8 +84,9 @@ def simulate_one(name: str, output: Path, *, seed: int, changes: Iterable[str]) 
     from geograph.io import write
 
     chosen = scenario(name)
-    recording = chosen.simulate(seed, given_parameters(chosen, changes))
-    write(recording, output, overwrite=True)
+    values = given_parameters(chosen, changes)
+    recording = chosen.simulate(seed, values)
+    write(recording, output, overwrite=True, beside=chosen.files_beside(seed, values))
     counts = ", ".join(
         f"{len(table)} {kind.replace('_', ' ')}" for kind, table in recording.tables.items()
     )

@@ -108,7 +108,8 @@ class BearingFamily(SensorFamily):
         self._clocked = CLOCK in states.channels
         self._fast = SPEED in states.channels
         self._turned = MISALIGNMENT in states.channels
-        self._walks_elsewhere = bool((self.terms.chains.channel > ELEVATION).any())
+        beyond = bool((self.terms.chains.channel > ELEVATION).any())
+        self._walks_elsewhere = beyond or self.terms.cut
         self._stars = geometry.stars(bearings.sensor, bearings.time_s)
         self._light_time = np.zeros(len(bearings))
         self._walk_time = bearings.time_s.copy()

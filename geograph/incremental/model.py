@@ -415,7 +415,8 @@ class Model:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return inverse transitions, noise roots, and noises at the reference, scaled."""
         low, high = order[0], order[-1]
-        steps = np.diff(chain.knots_s[low : high + 2])
+        knots = np.array(chain.knots_s[low : high + 2])
+        steps = np.diff(knots)
         m, d = chain.size, chain.knot_size
         scale, count = self.path_scale, steps.size
         reference = np.array(chain.reference_path[low : high + 2])
@@ -429,7 +430,7 @@ class Model:
         )
         if d > m:
             states = self.prepared.states
-            by, spread = states.chain_transitions(steps, self.prepared.walk_scale)
+            by, spread = states.chain_transitions(knots, self.prepared.walk_scale)
             of_path = inverse, root
             inverse, root = np.zeros((count, d, d)), np.zeros((count, d, d))
             inverse[:, :m, :m], root[:, :m, :m] = of_path

@@ -40,9 +40,10 @@ def emission_times(model: Model, chain: Chain, kind: str, columns: Columns) -> N
     heard = columns.get("reference", columns["sensor"])
     received = tag
     constants = np.append(chain.constants * states.sigma, 0.0)
-    bias, drift = states.bias_column[heard, CLOCK], states.drift_column[heard, CLOCK]
+    row = states.stretches.row(heard, tag)
+    bias, drift = states.bias_column[row, CLOCK], states.drift_column[row, CLOCK]
     if (bias >= 0).any() or (drift >= 0).any():
-        received = tag - constants[bias] - constants[drift] * (tag - states.reference_s)
+        received = tag - constants[bias] - constants[drift] * (tag - states.since_s[row, CLOCK])
     walk = states.walk_column[heard, CLOCK]
     if (walk >= 0).any():
         value = np.append(chain.chains[-1][: len(states.walks)] * prepared.walk_scale[
@@ -136,7 +137,8 @@ def _predicted(
     states = model.prepared.states
     if not states.platforms:
         return path, chain.chains[-1]
-    matrix, _ = states.chain_transitions(step, model.prepared.walk_scale)
+    knots = np.array([chain.knots_s[-1], time_s])
+    matrix, _ = states.chain_transitions(knots, model.prepared.walk_scale)
     return path, matrix[0] @ chain.chains[-1]
 
 

@@ -113,6 +113,13 @@ class IncrementalSmoother:
                 "out (--stages none), and where the noise changes call change_process_noise",
                 column="stages",
             )
+        for sensor in sensors.values():
+            if sensor.calibrations_s == "auto":
+                raise InputError(
+                    f"sensor {sensor.name!r} has calibrations_s = auto, which only the batch "
+                    "smoother finds; expected their times, or an instability in their place",
+                    column="calibrations_s",
+                )
         template = Recording(
             name="feed",
             frame=frame,

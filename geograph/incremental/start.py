@@ -250,9 +250,9 @@ def _mapped(smoother: Smoother, model: Model) -> Values:
     """Return a batch's estimate in the states of all sensors."""
     values, own, every = smoother.solution.values, smoother.problem.states, model.prepared.states
     constants = np.zeros(every.size)
-    place = {(s.sensor, s.channel, s.drift): i for i, s in enumerate(every.constants)}
-    for i, state in enumerate(own.constants):
-        constants[place[state.sensor, state.channel, state.drift]] = values.constants[i]
+    place = {(s.sensor, s.channel, s.drift, s.stretch): i for i, s in enumerate(every.constants)}
+    for i, s in enumerate(own.constants):
+        constants[place[s.sensor, s.channel, s.drift, s.stretch]] = values.constants[i]
     chains = np.zeros((values.path.shape[0], every.chains))
     for i, walk in enumerate(own.walks):
         chains[:, every.walk_column[walk.sensor, walk.channel]] = values.walks[:, i]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 import numpy as np
 
 from geograph.constants import SPEED_OF_LIGHT_M_S
 from geograph.errors import InputError
+from geograph.io.header_resets import read_calibrations, read_clock_resets
 from geograph.io.header_terrain import TerrainEntry, file_name, read_terrain_entry
 from geograph.io.messages import shown
 from geograph.io.tables import MAX_COORDINATE_M, MAX_VALUE
@@ -53,6 +54,8 @@ _SENSOR_KEYS = (
     "correlation",
     "refraction",
     "platform_process_noise",
+    "calibrations_s",
+    "clock_resets_s",
 )
 _DEGREES_KEYS = {
     entry.name.replace("_rad", "_deg"): entry.name
@@ -82,6 +85,8 @@ class SensorEntry:
     platform_process_noise: float | None
     attitude_rad: NDArray[np.float64] | None
     unusual_attitude: bool
+    calibrations_s: tuple[float, ...] | Literal["auto"]
+    clock_resets_s: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -227,6 +232,8 @@ def _sensor(
         platform_process_noise=_platform(document, path, table, errors),
         attitude_rad=_attitude(document, path, table, axes),
         unusual_attitude=unusual,
+        calibrations_s=read_calibrations(document, path, table, errors),
+        clock_resets_s=read_clock_resets(document, path, table, errors),
     )
 
 

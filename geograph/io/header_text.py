@@ -109,6 +109,7 @@ def _sensor_lines(sensor: Sensor, trajectory: str | None, frame: str) -> list[st
         lines.append(f"refraction = {_text(sensor.refraction)}")
     if sensor.platform_process_noise is not None:
         lines.append(f"platform_process_noise = {_number(sensor.platform_process_noise)}")
+    lines += _reset_lines(sensor)
     errors = []
     for entry in fields(SensorErrors):
         value = float(getattr(sensor.errors, entry.name))
@@ -119,6 +120,17 @@ def _sensor_lines(sensor: Sensor, trajectory: str | None, frame: str) -> list[st
                 name, value = name.replace("_rad", "_deg"), float(degrees)
             errors.append(f"{name} = {_number(value)}")
     return [*lines, f"[{table}.errors]", *errors] if errors else lines
+
+
+def _reset_lines(sensor: Sensor) -> list[str]:
+    lines = []
+    for name in ("calibrations_s", "clock_resets_s"):
+        times = getattr(sensor, name)
+        if times == "auto":
+            lines.append(f'{name} = "auto"')
+        elif times:
+            lines.append(f"{name} = [{', '.join(_number(time) for time in times)}]")
+    return lines
 
 
 def _exact_geodetic(

@@ -241,6 +241,8 @@ def _read_sensor(
         platform_process_noise=entry.platform_process_noise,
         attitude_rad=entry.attitude_rad,
         unusual_attitude=entry.unusual_attitude,
+        calibrations_s=entry.calibrations_s,
+        clock_resets_s=entry.clock_resets_s,
     )
     if entry.trajectory is not None and entry.axes == "body":
         from geograph.attitude import check_attitude

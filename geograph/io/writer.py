@@ -30,7 +30,7 @@ from geograph.io.table_columns import table_columns, trajectory_columns
 from geograph.io.terrain_file import save_terrain
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -49,6 +49,7 @@ def write(
     *,
     overwrite: bool = False,
     tables: TableFormat = "csv",
+    beside: Mapping[str, str] | None = None,
 ) -> Recording:
     """Write a recording, whole or not at all, such that it reads back equal.
 
@@ -68,6 +69,8 @@ def write(
         Whether an older recording there is replaced.
     tables
         Format of the tables.
+    beside
+        Text of further CSV files, by their names, which a reader leaves alone.
 
     Returns
     -------
@@ -82,6 +85,7 @@ def write(
     """
     target = Path(path)
     files = _files(recording, tables, target)
+    files |= {name: text.encode() for name, text in (beside or {}).items()}
     is_zip = target.suffix.lower() == ".zip"
     if is_zip:
         if target.exists() and not overwrite:

@@ -17,6 +17,7 @@ from geograph.results.data import (
     SensorPath,
 )
 from geograph.results.platforms import platform_paths
+from geograph.states import CHANNEL_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -194,7 +195,8 @@ def _sensor_path(sensor: Sensor, start: float, end: float) -> SensorPath:
 def _changes(track: Track, sensor: Sensor, kind: ErrorKind) -> bool:
     """Return whether an error was estimated, which a sensor without measurements has not."""
     estimated = track.sensor_errors.get(sensor.name, {})
-    return f"{kind}_drift" in estimated or f"{kind}_walk" in estimated
+    changing = (f"{kind}_{what}" for what in ("drift", "walk", "bias_2", "offset_2"))
+    return any(name in estimated for name in changing)
 
 
 def _prior(errors: SensorErrors, kind: ErrorKind) -> tuple[float, float, float]:
@@ -210,10 +212,16 @@ def _prior(errors: SensorErrors, kind: ErrorKind) -> tuple[float, float, float]:
 
 
 def _curve(track: Track, sensor: Sensor, kind: ErrorKind, start: float, end: float) -> ErrorCurve:
-    time = np.linspace(start, end, _CURVE_POINTS)
+    index = track.recording.sensor_names.index(sensor.name)
+    resets = track.problem.states.stretches.of(index, CHANNEL_NAMES.index(kind))
+    resets = resets[(resets > start) & (resets <= end)]
+    # On both sides of a reset, so that it is seen as a jump.
+    sides = np.concatenate([np.nextafter(resets, -np.inf), resets])
+    time = np.unique(np.concatenate([np.linspace(start, end, _CURVE_POINTS), sides]))
     estimate, sigma = track.sensor_error_at(sensor.name, kind, time)
     bias, drift, instability = _prior(sensor.errors, kind)
-    elapsed = time - start
+    begun = np.concatenate([[start], resets])
+    elapsed = time - begun[np.searchsorted(resets, time, side="right")]
     prior = np.sqrt(bias**2 + (drift * elapsed) ** 2 + instability**2 * elapsed)
     return ErrorCurve(
         sensor=sensor.name,
