@@ -20,6 +20,7 @@ from geograph.families import SensorFamily, Values
 from geograph.knots import NEGLIGIBLE, add_path_noise, ignored_share
 from geograph.losses import Loss
 from geograph.motion import Density
+from geograph.orbit_forces import forces_of
 from geograph.prepare import Prepared, prepare
 from geograph.problem import Problem
 from geograph.process_noise import least_noise
@@ -28,7 +29,7 @@ from geograph.report import make_track
 from geograph.rivals import Attempt, Rival, find_rivals
 from geograph.robust import anneal, thresholds
 from geograph.solver import Solution, Status, solve
-from geograph.starts import choose_knots, first_fits, start
+from geograph.starts import choose_knots, first_fits, prior_width, start
 from geograph.threads import single_blas_thread
 
 if TYPE_CHECKING:
@@ -46,6 +47,10 @@ _TRIAL_ITERATIONS = 40
 
 # Further first guesses are tried where the median square is above that of normal errors by this.
 _MISFIT = 2.0
+
+# Sigmas from its middle at which the weak prior of the first knot is felt: it is a hundred
+# distances wide, so that the first guess's distances were wrong.
+_FELT = 1.0
 
 # An estimate whose signals were emitted so many times the recording's length away has run off.
 _RUN_OFF = 1e6
@@ -122,6 +127,7 @@ class Smoother:
             self.prepared,
             static=settings.motion == "static",
             orbital=settings.motion == "orbital",
+            forces=forces_of(self.prepared.recording, settings),
         )
         several = len(fits) > 1
         for fit in fits:
@@ -319,7 +325,7 @@ class Smoother:
             families=self.prepared.families(knots),
             states=problem.states,
             walk_scale=problem.walk_scale,
-            prior=replace(problem.prior, mean=values.path[0]),
+            prior=problem.prior.centred(values.path[0], 3 * problem.motion.order),
             path_scale=problem.path_scale,
             loss=problem.loss,
             weights=weights,
@@ -353,6 +359,20 @@ class Smoother:
                 add_path_noise(family, motion, self.problem.path, times)
         self.problem.refresh(values)
 
+    def _loosen(self) -> None:
+        """Put the weak prior of the first knot about the estimate where it is felt.
+
+        Its width follows the first guess's distances, and these may have been far too short.
+        """
+        problem, state = self.problem, self.solution.values.path[0]
+        order, prior = problem.motion.order, problem.prior
+        size = 3 * order
+        if not np.abs((state - prior.mean) / prior.sigma)[:size].max() > _FELT:
+            return
+        reach = float(np.median(self.emissions()[0]))
+        width = prior_width(reach, self.prepared.span_s, order)
+        self.problem = problem._copy(prior=prior.as_wide_as(width).centred(state, size))
+
     def _settle(self) -> None:
         """Solve until what a solve holds fixed agrees with its result."""
         for _ in range(_ROUNDS):
@@ -371,6 +391,7 @@ class Smoother:
                     self._respace()
                     continue
             self._refresh(before)
+            self._loosen()
             cost = self.problem.cost(before)
             if abs(cost - self.solution.cost) <= 1e-6 * max(1.0, cost):
                 break
@@ -396,6 +417,7 @@ def first_problem(recording: Recording, settings: SmoothSettings) -> tuple[Probl
         smoother.prepared,
         static=settings.motion == "static",
         orbital=settings.motion == "orbital",
+        forces=forces_of(recording, settings),
     )
     problem, values = smoother.start(fits[0], loss)
     # As it stands: what all clocks have in common is left to their priors.

@@ -13,16 +13,22 @@ from geograph.cli.convert_command import convert
 from geograph.cli.doctor_command import doctor
 from geograph.cli.montecarlo_command import montecarlo
 from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotations
+    AccelerationAxes,
+    AccelerationSigma,
+    Drag,
+    DragSigma,
     Elimination,
     Jobs,
     Loss,
     MaxIterations,
+    Moon,
     Motion,
     Plots,
     ProcessNoise,
     ProcessNoiseAlong,
     Scheduler,
     Spacing,
+    Sun,
 )
 from geograph.cli.report_command import report
 from geograph.cli.simulate_command import simulate
@@ -79,6 +85,12 @@ def smooth(
     motion: Motion = None,
     process_noise: ProcessNoise = None,
     process_noise_along: ProcessNoiseAlong = None,
+    moon: Moon = None,
+    sun: Sun = None,
+    drag: Drag = None,
+    drag_sigma: DragSigma = None,
+    acceleration_sigma: AccelerationSigma = None,
+    acceleration_axes: AccelerationAxes = None,
     spacing: Spacing = None,
     loss: Loss = None,
     max_iterations: MaxIterations = None,
@@ -99,6 +111,12 @@ def smooth(
         "motion": motion,
         "process_noise": process_noise,
         "process_noise_along": process_noise_along,
+        "moon": moon,
+        "sun": sun,
+        "drag_m2_kg": drag,
+        "drag_sigma_m2_kg": drag_sigma,
+        "acceleration_sigma_m_s2": acceleration_sigma,
+        "acceleration_axes": acceleration_axes,
         "spacing_s": spacing,
         "loss": loss,
         "max_iterations": max_iterations,

@@ -145,6 +145,8 @@ def _settings_lines(settings: SmoothSettings) -> list[str]:
             continue
         if isinstance(value, str):
             written = _text(value)
+        elif isinstance(value, bool):
+            written = str(value).lower()
         elif isinstance(value, tuple):
             written = f"[{', '.join(_number(part) for part in value)}]"
         else:
