@@ -30,6 +30,8 @@ from geograph.constants import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.factors.forces import Forces
+
 # The local error of a fourth-order step of 5 s in the lowest orbit is below a micrometre.
 _LONGEST_STEP_S = 5.0
 
@@ -129,11 +131,49 @@ def parts_of(step_s: NDArray[np.float64]) -> int:
     return max(1, int(np.ceil(longest / _LONGEST_STEP_S)))
 
 
+def total_acceleration(
+    state: NDArray[np.float64],
+    time_s: NDArray[np.float64] | None,
+    frame: Literal["ecef", "local"],
+    degree: Degree = 2,
+    forces: Forces | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the acceleration under gravity and all other forces, with its derivatives.
+
+    Parameters
+    ----------
+    state
+        Shape (n, 6 + e): position, velocity, and the forces' unknowns.
+    time_s
+        Shape (n,), seconds after the epoch; None only without forces.
+    frame, degree
+        See :func:`acceleration`.
+    forces
+        What acts beside gravity; None: nothing.
+
+    Returns
+    -------
+    acceleration_m_s2
+        Shape (n, 3).
+    by_position, by_velocity, by_unknown
+        Shapes (n, 3, 3), (n, 3, 3), (n, 3, e).
+    """
+    position, velocity, unknown = state[:, :3], state[:, 3:6], state[:, 6:]
+    value, by_position, by_velocity = acceleration(position, velocity, frame, degree)
+    if forces is None or time_s is None:
+        return value, by_position, by_velocity, np.zeros((*value.shape, unknown.shape[1]))
+    added, by_p, by_v, by_unknown = forces.acceleration(position, velocity, unknown, time_s)
+    return value + added, by_position + by_p, by_velocity + by_v, by_unknown
+
+
 def propagate(
     state: NDArray[np.float64],
     step_s: NDArray[np.float64],
     frame: Literal["ecef", "local"],
     degree: Degree = 2,
+    *,
+    forces: Forces | None = None,
+    start_s: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Propagate free fall, with the exact derivative of the propagation.
 
@@ -143,37 +183,50 @@ def propagate(
     Parameters
     ----------
     state
-        Shape (n, 6): position and velocity in the frame, metres and metres per second.
+        Shape (n, 6 + e): position and velocity in the frame, metres and metres per second, and the
+        forces' unknowns, which are constant.
     step_s
         Shape (n,): how far each is propagated, seconds (negative: back in time).
     frame, degree
         See :func:`acceleration`.
+    forces, start_s
+        What acts beside gravity, and when each starts, shape (n,), seconds after the epoch.
 
     Returns
     -------
     state
-        Shape (n, 6).
+        Shape (n, 6 + e).
     jacobian
-        Shape (n, 6, 6): derivative of the result by the given state.
+        Shape (n, 6 + e, 6 + e): derivative of the result by the given state.
     """
     step = np.asarray(step_s, dtype=np.float64)
     parts = parts_of(step)
     h = (step / parts)[:, None]
     x = np.array(state, dtype=np.float64)
-    jacobian = np.broadcast_to(np.eye(6), (x.shape[0], 6, 6)).copy()
+    count, size = x.shape
+    still = np.zeros((count, size - 6))
+    jacobian = np.broadcast_to(np.eye(size), (count, size, size)).copy()
+    # Rows of the unknowns stay those of the identity.
+    phi = jacobian[:, :6].copy()
 
     def rates(
-        x: NDArray[np.float64], phi: NDArray[np.float64]
+        x: NDArray[np.float64], phi: NDArray[np.float64], share: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        value, by_position, by_velocity = acceleration(x[:, :3], x[:, 3:], frame, degree)
-        lower = by_position @ phi[:, :3] + by_velocity @ phi[:, 3:]
-        return np.concatenate([x[:, 3:], value], axis=1), np.concatenate([phi[:, 3:], lower], 1)
+        time = None if start_s is None else start_s + share * step
+        value, by_p, by_v, by_u = total_acceleration(x, time, frame, degree, forces)
+        lower = by_p @ phi[:, :3] + by_v @ phi[:, 3:]
+        lower[:, :, 6:] += by_u
+        return np.concatenate([x[:, 3:6], value, still], axis=1), np.concatenate(
+            [phi[:, 3:], lower], 1
+        )
 
-    for _ in range(parts):
-        k1, m1 = rates(x, jacobian)
-        k2, m2 = rates(x + 0.5 * h * k1, jacobian + 0.5 * h[..., None] * m1)
-        k3, m3 = rates(x + 0.5 * h * k2, jacobian + 0.5 * h[..., None] * m2)
-        k4, m4 = rates(x + h * k3, jacobian + h[..., None] * m3)
+    for part in range(parts):
+        first, middle, last = part / parts, (part + 0.5) / parts, (part + 1) / parts
+        k1, m1 = rates(x, phi, first)
+        k2, m2 = rates(x + 0.5 * h * k1, phi + 0.5 * h[..., None] * m1, middle)
+        k3, m3 = rates(x + 0.5 * h * k2, phi + 0.5 * h[..., None] * m2, middle)
+        k4, m4 = rates(x + h * k3, phi + h[..., None] * m3, last)
         x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        jacobian = jacobian + h[..., None] / 6.0 * (m1 + 2.0 * m2 + 2.0 * m3 + m4)
+        phi = phi + h[..., None] / 6.0 * (m1 + 2.0 * m2 + 2.0 * m3 + m4)
+    jacobian[:, :6] = phi
     return x, jacobian

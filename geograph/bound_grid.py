@@ -16,6 +16,7 @@ from geograph.geodesy import ecef_from_geodetic, enu_axes, geodetic_from_ecef
 from geograph.ground import on_ground
 from geograph.observability import UNOBSERVABLE_SHARE
 from geograph.planned import distances, moved, planned, point_path
+from geograph.recording import NO_FORCES
 from geograph.signal import Signal, with_signal
 from geograph.terrain_starts import ground_height
 from geograph.threads import single_blas_thread
@@ -195,7 +196,7 @@ def bound_map(
         extent = _extent(given, path) if extent_m is None else extent_m
         line = (np.arange(cells) - 0.5 * (cells - 1)) * extent / cells
         position = _grid(middle, line, given.frame)
-        fixed = chosen.replace(motion="static", process_noise="auto", stages=None)
+        fixed = chosen.replace(motion="static", process_noise="auto", stages=None, **NO_FORCES)
         terrain, above = given.terrain, ground_height(given.constraints)
         known = np.ones(position.shape[:2], dtype=np.bool_)
         if terrain is not None and above is not None:

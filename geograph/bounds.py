@@ -82,7 +82,8 @@ def cramer_rao_bound(problem: Problem, values: Values) -> Bound:
         If the information is singular.
     """
     found = posterior(problem, values)
-    size, scale, sigma = problem.layout.path, problem.path_scale, problem.states.sigma
+    size, sigma = 3 * problem.motion.order, problem.states.sigma
+    scale = problem.path_scale[:size]
     return Bound(
         problem.knots_s,
         found.knots[:, :size, :size] * scale[:, None] * scale,
@@ -293,10 +294,11 @@ def _as_track(smoother: Smoother) -> Track:
     problem, values = smoother.problem, smoother.solution.values
     recording = smoother.prepared.recording
     marginals = marginals_of(smoother)
-    size, scale = problem.layout.path, problem.path_scale
+    size = 3 * problem.motion.order
+    scale = problem.path_scale[:size]
     return Track(
         time_s=problem.knots_s,
-        state=values.path,
+        state=values.path[:, :size],
         covariance=marginals.knots[:, :size, :size] * scale[:, None] * scale,
         frame=recording.frame,
         recording=recording,

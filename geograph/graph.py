@@ -197,10 +197,11 @@ def _transition_factors(problem: Problem, origin: Values) -> Iterator[gtsam.Nonl
             jacobian: bool,
             k: int = k,
             step: float = float(step),
+            begin: float = float(problem.knots_s[k]),
         ) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
             both = np.stack(vectors)
             path = origin.path[k : k + 2] + both[:, :m] * problem.path_scale
-            found = problem.motion.transitions(path, np.array([step]))
+            found = problem.motion.transitions(path, np.array([step]), np.array([begin]))
             times = 1.0 if problem.noise_times is None else problem.noise_times[k]
             whiten = np.linalg.inv(roots[k])
             walk = whiten @ (both[1, m:] - chain[k] @ both[0, m:])

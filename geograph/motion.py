@@ -5,7 +5,9 @@ later state follows from the earlier one and the noise:
 
     x[k+1] = f(x[k]) + L w[k],    w[k] of unit covariance,
 
-with f a Taylor polynomial (constant position, velocity, acceleration) or free fall (ballistic).
+with f a Taylor polynomial (constant position, velocity, acceleration) or free fall (ballistic,
+orbital). What is unknown of the forces on a satellite stands behind the velocity, and hardly
+changes.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from geograph.path import BallisticPath, KinematicPath, Order, Path, fall
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.factors.forces import Forces
     from geograph.factors.gravity import Degree
     from geograph.recording import Frame, MotionName
 
@@ -94,16 +97,16 @@ class Density:
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """All transitions between knots, linearised; SI units.
+    """All transitions between knots, linearised; SI units, m' components each.
 
     Attributes
     ----------
     residual
-        Shape (K - 1, 3m): whitened, w[k] = L^-1 (x[k+1] - f(x[k])).
+        Shape (K - 1, m'): whitened, w[k] = L^-1 (x[k+1] - f(x[k])).
     transition
-        Shape (K - 1, 3m, 3m): derivative of x[k+1] by x[k] at fixed w[k].
+        Shape (K - 1, m', m'): derivative of x[k+1] by x[k] at fixed w[k].
     noise_root
-        Shape (K - 1, 3m, 3m): L.
+        Shape (K - 1, m', m'): L.
     """
 
     residual: NDArray[np.float64]
@@ -139,9 +142,20 @@ class Motion:
         Noise density; ignored by ``static``.
     frame
         Frame of the recording, which the ballistic model needs.
+    forces
+        What acts on a satellite beside gravity; None: nothing.
+
+    Attributes
+    ----------
+    order
+        Blocks of three in the state that derive from each other: position, velocity, acceleration.
+    size
+        Components of the state: 3 for each of these, and the unknowns of the forces.
     """
 
-    def __init__(self, name: MotionName, density: Density, frame: Frame) -> None:
+    def __init__(
+        self, name: MotionName, density: Density, frame: Frame, forces: Forces | None = None
+    ) -> None:
         self.name: MotionName = name
         self.order: Order = _ORDERS[name]
         self.density = density
@@ -149,6 +163,8 @@ class Motion:
         self.static = name == "static"
         self.ballistic = name in ("ballistic", "orbital")
         self.degree: Degree = 4 if name == "orbital" else 2
+        self.forces = forces
+        self.size = 3 * self.order + (0 if forces is None else len(forces.names))
         # Whether transitions and their noise are the same wherever the object is.
         self.constant = not self.ballistic and density.along is None
         if density.along is not None and self.order == 1:
@@ -156,7 +172,7 @@ class Motion:
 
     def with_density(self, density: Density) -> Motion:
         """Return the same motion with other noise."""
-        return Motion(self.name, density, self.frame)
+        return Motion(self.name, density, self.frame, self.forces)
 
     def scaled(self, factor: float) -> Motion:
         """Return the same motion with its noise multiplied."""
@@ -165,7 +181,7 @@ class Motion:
     def path(self, knots_s: NDArray[np.float64]) -> Path:
         """Return the path of this motion over given knots, shape (K,)."""
         if self.ballistic:
-            return BallisticPath(knots_s, self.frame, self.degree)
+            return BallisticPath(knots_s, self.frame, self.degree, self.forces)
         return KinematicPath(knots_s, self.order)
 
     @property
@@ -176,14 +192,14 @@ class Motion:
     def read(
         self, path: Path, state: NDArray[np.float64], time_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return whole states of a path at any times, shape (n, 3m), SI units.
+        """Return whole states of a path at any times, shape (n, size), SI units.
 
         Parameters
         ----------
         path
             A path of this motion.
         state
-            Shape (K, 3m): states of its knots.
+            Shape (K, size): states of its knots.
         time_s
             Shape (n,); times outside the knots are predicted from the nearer one.
         """
@@ -197,38 +213,48 @@ class Motion:
             weights = interpolation_matrices(3, place.step_s, place.offset_s)[:, 2]
             pair = np.concatenate([state[:-1], state[1:]], axis=1)[place.interval]
             blocks.append(np.einsum("nj,njc->nc", weights, pair.reshape(-1, 6, 3)))
+        if self.size > 3 * self.order:
+            blocks.append(state[place.interval, 3 * self.order :])
         result = np.concatenate(blocks, axis=1)
         for outside, end in ((time_s < knots[0], 0), (time_s > knots[-1], -1)):
             if outside.any():
                 step = time_s[outside] - knots[end]
                 start = np.broadcast_to(state[end], (step.size, state.shape[1]))
-                result[outside] = self.carried(start, step)
+                result[outside] = self.carried(start, step, np.full(step.size, knots[end]))
         return result
 
     def predict(
-        self, state: NDArray[np.float64], step_s: NDArray[np.float64]
+        self,
+        state: NDArray[np.float64],
+        step_s: NDArray[np.float64],
+        start_s: NDArray[np.float64] | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return f(x), shape (n, 3m), and its derivative, shape (n, 3m, 3m).
+        """Return f(x), shape (n, size), and its derivative, shape (n, size, size).
 
         Parameters
         ----------
         state
-            Shape (n, 3m), SI units.
+            Shape (n, size), SI units.
         step_s
             Shape (n,), seconds.
+        start_s
+            Shape (n,): when each step starts, which forces may depend on; with none, not needed.
         """
         if self.ballistic:
-            return fall(state, step_s, self.frame, self.degree)
+            return fall(state, step_s, self.frame, self.degree, forces=self.forces, start_s=start_s)
         eye = np.broadcast_to(np.eye(3), (step_s.size, 3, 3))
         by_block = transition(self.order, step_s)
         return self._taylor(by_block, state), kron_stack(by_block, eye)
 
     def carried(
-        self, state: NDArray[np.float64], step_s: NDArray[np.float64]
+        self,
+        state: NDArray[np.float64],
+        step_s: NDArray[np.float64],
+        start_s: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
-        """Return f(x) alone, shape (n, 3m); see :meth:`predict`."""
+        """Return f(x) alone, shape (n, size); see :meth:`predict`."""
         if self.ballistic:
-            return self.predict(state, step_s)[0]
+            return self.predict(state, step_s, start_s)[0]
         return self._taylor(transition(self.order, step_s), state)
 
     def _taylor(
@@ -239,36 +265,57 @@ class Motion:
         return np.asarray(np.matmul(by_block, blocks).reshape(state.shape))
 
     def noise(self, state: NDArray[np.float64], step_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the covariance that the noise adds over a step, shape (n, 3m, 3m), SI units."""
+        """Return the covariance that noise adds over a step, shape (n, size, size), SI units."""
         if self.static:
             return np.zeros((step_s.size, 3, 3))
         root = self.density.square_root(self._velocity(state), step_s.size)
         unit = noise_covariance(self.order, step_s)
-        return kron_stack(unit, root @ np.swapaxes(root, -1, -2))
+        return self._with_forces(kron_stack(unit, root @ np.swapaxes(root, -1, -2)), step_s, 2.0)
+
+    def _with_forces(
+        self, matrix: NDArray[np.float64], step_s: NDArray[np.float64], power: float
+    ) -> NDArray[np.float64]:
+        """Return matrices of the path with the wander of the forces' unknowns, to a power."""
+        if self.forces is None or self.size == 3 * self.order:
+            return matrix
+        known = 3 * self.order
+        whole = np.zeros((step_s.size, self.size, self.size))
+        whole[:, :known, :known] = matrix
+        extra = np.arange(known, self.size)
+        whole[:, extra, extra] = self.forces.wander(step_s) ** power
+        return whole
 
     def _velocity(self, state: NDArray[np.float64]) -> NDArray[np.float64] | None:
         return state[:, 3:6] if self.order > 1 else None
 
-    def transitions(self, state: NDArray[np.float64], steps_s: NDArray[np.float64]) -> Transitions:
+    def transitions(
+        self,
+        state: NDArray[np.float64],
+        steps_s: NDArray[np.float64],
+        start_s: NDArray[np.float64] | None = None,
+    ) -> Transitions:
         """Linearise all transitions of a path.
 
         Parameters
         ----------
         state
-            Shape (K, 3m): states of the knots.
+            Shape (K, size): states of the knots.
         steps_s
             Shape (K - 1,): intervals between them.
+        start_s
+            Shape (K - 1,): when each starts; see :meth:`predict`.
         """
         first, second = state[:-1], state[1:]
-        count, size = first.shape
-        predicted, matrix = self.predict(first, steps_s)
+        count, size = first.shape[0], 3 * self.order
+        predicted, matrix = self.predict(first, steps_s, start_s)
         if self.static:
             return Transitions(np.zeros((count, size)), matrix, np.zeros((count, size, size)))
         velocity = self._velocity(first)
         unit_root = noise_square_root(self.order, steps_s)
         root = kron_stack(unit_root, self.density.square_root(velocity, count))
-        gap = (second - predicted).reshape(count, self.order, 3)
-        miss = np.asarray(np.linalg.solve(unit_root, gap), dtype=np.float64)
+        gap = second - predicted
+        by_block = gap[:, :size].reshape(count, self.order, 3)
+        miss = np.asarray(np.linalg.solve(unit_root, by_block), dtype=np.float64)
         inverse = self.density.inverse_square_root(velocity, count)
         residual = (miss @ np.swapaxes(inverse, -1, -2)).reshape(count, size)
         along = self.density.along
@@ -278,20 +325,27 @@ class Motion:
                 velocity, 1.0 / self.density.axes[0], 1.0 / along, miss
             ).reshape(count, size, 3)
             matrix = matrix.copy()
-            matrix[:, :, 3:6] -= root @ turning
-        return Transitions(residual, matrix, root)
+            matrix[:, :size, 3:6] -= root @ turning
+        if self.forces is not None and self.size > size:
+            wander = gap[:, size:] / self.forces.wander(steps_s)
+            residual = np.concatenate([residual, wander], axis=1)
+        return Transitions(residual, matrix, self._with_forces(root, steps_s, 1.0))
 
     def linear(
-        self, state: NDArray[np.float64], steps_s: NDArray[np.float64], scale: NDArray[np.float64]
+        self,
+        state: NDArray[np.float64],
+        steps_s: NDArray[np.float64],
+        scale: NDArray[np.float64],
+        start_s: NDArray[np.float64] | None = None,
     ) -> LinearTransitions:
         """Return what an elimination needs of all transitions, scaled.
 
         Parameters
         ----------
-        state, steps_s
+        state, steps_s, start_s
             As of :meth:`transitions`.
         scale
-            Shape (3m,): scales of the path's components, SI.
+            Shape (size,): scales of the path's components, SI.
         """
         count, size = steps_s.size, scale.size
         if self._compiles:
@@ -302,7 +356,7 @@ class Motion:
             )
             self._run(state, steps_s, scale, found.inverse, found.noise_root, found.residual)
             return found
-        plain = self.transitions(state, steps_s)
+        plain = self.transitions(state, steps_s, start_s)
         return LinearTransitions(
             inverse_stack(plain.transition * scale / scale[:, None]),
             plain.noise_root / scale[:, None],
@@ -310,11 +364,14 @@ class Motion:
         )
 
     def residual(
-        self, state: NDArray[np.float64], steps_s: NDArray[np.float64]
+        self,
+        state: NDArray[np.float64],
+        steps_s: NDArray[np.float64],
+        start_s: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
-        """Return the whitened residuals of all transitions, shape (K - 1, 3m)."""
+        """Return the whitened residuals of all transitions, shape (K - 1, size)."""
         if not self._compiles:
-            return self.transitions(state, steps_s).residual
+            return self.transitions(state, steps_s, start_s).residual
         found = np.empty((steps_s.size, 3 * self.order))
         self._run(state, steps_s, np.ones(3 * self.order), None, None, found)
         return found
@@ -339,9 +396,14 @@ class Motion:
             *results,
         )
 
-    def cost(self, state: NDArray[np.float64], steps_s: NDArray[np.float64]) -> float:
+    def cost(
+        self,
+        state: NDArray[np.float64],
+        steps_s: NDArray[np.float64],
+        start_s: NDArray[np.float64] | None = None,
+    ) -> float:
         """Return half the sum of squared whitened residuals of all transitions."""
-        return 0.5 * float(np.sum(self.residual(state, steps_s) ** 2))
+        return 0.5 * float(np.sum(self.residual(state, steps_s, start_s) ** 2))
 
 
 def inverse_stack(matrices: NDArray[np.float64]) -> NDArray[np.float64]:

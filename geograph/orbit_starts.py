@@ -1,14 +1,20 @@
-"""First guesses of orbits from directions: a circle through two, then free fall through all.
+"""First guesses of orbits from directions: two of them joined, then free fall through all.
 
 Of a circular orbit two directions leave one unknown, the distance at the first: the radius follows,
 with it where the second line of sight is met, the plane, and the speed. That distance is scanned,
-and the best circles through the directions of the first half hour are where a fit of free fall
-begins (O. Montenbruck, E. Gill, *Satellite Orbits*, 2000, sections 2.4 and 8.1, for both steps). It
-takes up later directions little by little, so that each finds an orbit that is already near.
+and the best circles through the first directions are where a fit of free fall begins
+(O. Montenbruck, E. Gill, *Satellite Orbits*, 2000, sections 2.4 and 8.1, for both steps). Where no
+circle leads to a fit, the orbit is not one: both distances are scanned, and an orbit of any
+eccentricity laid through each pair (R. H. Gooding, *A new procedure for the solution of the
+classical problem of minimal orbit determination from three lines of sight*, Celest. Mech. Dyn.
+Astron. 66, 1996, searches the same two distances). The fit takes up later directions little by
+little, so that each finds an orbit that is already near.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,70 +28,204 @@ from geograph.constants import (
     EARTH_ROTATION_RAD_S,
     SPEED_OF_LIGHT_M_S,
 )
-from geograph.factors.gravity import acceleration
+from geograph.factors.gravity import total_acceleration
 from geograph.factors.light_time import turn_to_reception
 from geograph.initialise import PathFit
+from geograph.orbit_arcs import along, lambert
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
+    from geograph.factors.forces import Forces
     from geograph.initialise import FirstGuess
     from geograph.lines import Lines
 
 _SPIN = np.array([0.0, 0.0, EARTH_ROTATION_RAD_S])
 _FIRST_S = 1800.0
+_FIRST_TIMES = 6
 _GROWTH = 3.0
 _NEAREST_M, _FARTHEST_M, _DISTANCES = 1.5e5, 6e7, 600
 _CIRCLES = 3
 _SPLINE_S = 30.0
-# Root mean square of residuals, in sigmas, beyond which a fit is not trusted.
+# Root mean square of residuals, in sigmas, beyond which a fit is not trusted; and that from which
+# another kind of orbit is tried.
 _MISFIT = 10.0
+_DOUBTFUL = 1.5
+# From so many sigmas down a trial is fitted to its end.
+_PROMISING = 300.0
+# From so many directions on, what fits is the orbit, and no other one fits better by chance.
+_MANY = 50
+
+# Steps of a fit, and of a trial.
+_STEPS, _TRIAL_STEPS = 30, 12
+
+# Distances of an eccentric orbit at both directions; directions that judge it; orbits refined.
+_ARC_DISTANCES = 70
+_JUDGES = 12
+_ARCS = 6
+_REFINEMENTS = 15
+_LOG_STEP, _LONGEST_LOG_STEP = 1e-5, 0.3
 
 
-def orbit_fits(finder: FirstGuess) -> list[PathFit]:
+def orbit_fits(finder: FirstGuess, forces: Forces | None = None) -> list[PathFit]:
     """Return the orbit through all directions, or nothing if none fits.
 
     Parameters
     ----------
     finder
         Bearings of a recording in ECEF, and their sensors.
+    forces
+        What acts beside gravity; what is unknown of it is fitted, too.
     """
     clock = np.zeros(len(finder.sensors))
     lines = finder.lines(clock)
-    start = float(lines.time_s.min())
-    if lines.azimuth_only.any() or not np.ptp(lines.time_s) > 0.0:
+    times = np.unique(lines.time_s)
+    start, last = float(times[0]), float(times[-1])
+    if lines.azimuth_only.any() or times.size < 3:
         return []
+    span = max(_FIRST_S, float(times[min(_FIRST_TIMES, times.size) - 1]) - start)
+    early = lines.time_s <= start + span
     best: tuple[float, NDArray[np.float64]] | None = None
-    early = lines.time_s <= start + _FIRST_S
-    for state in _circles(lines, start):
-        found = _fitted(lines, start, state, early)
-        if best is None or found[0] < best[0]:
-            best = found
+    for search in (_circles, _arcs):
+        for state in search(_early(lines, start, early)):
+            found = _fitted(lines, start, state, early, forces, most=_TRIAL_STEPS)
+            if found[0] < _PROMISING:
+                found = _fitted(lines, start, found[1], early, forces)
+            if best is None or found[0] < best[0]:
+                best = found
+            if best[0] < _DOUBTFUL and early.sum() >= _MANY:
+                break
+        if best is not None and best[0] < _DOUBTFUL:
+            break
     if best is None:
         return []
-    last, span = float(lines.time_s.max()), _FIRST_S
     while start + span < last:
         span *= _GROWTH
-        best = _fitted(lines, start, best[1], lines.time_s <= start + span)
+        best = _fitted(lines, start, best[1], lines.time_s <= start + span, forces)
     if best[0] > _MISFIT:
         return []
     count = max(int(np.ceil((last - start) / _SPLINE_S)), 6)
     time = np.linspace(start - 1.0, last + 1.0, count + 1)
-    positions = _fall(best[1], start, time)[0][:, :3]
+    positions = _fall(best[1], start, time, forces)[0][:, :3]
     spline = make_interp_spline(time, positions, k=5)
     distance = np.linalg.norm(spline(lines.time_s) - lines.sensor_m, axis=1)
     return [PathFit(spline, clock, 0.0, float(np.median(distance)), 0.0)]
 
 
-def _circles(lines: Lines, start_s: float) -> list[NDArray[np.float64]]:
-    """Return the best circular orbits, states in ECEF at the start, shape (6,) each."""
-    early = lines.time_s <= start_s + _FIRST_S
+@dataclass(frozen=True, eq=False)
+class _Early:
+    """The first directions on axes at rest, those of ECEF at the start."""
+
+    time_s: NDArray[np.float64]
+    place_m: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+
+    def scores(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return angles to places, shape (n, k, 3), over sigmas, shape (n, k)."""
+        sight = position_m - self.place_m
+        cosine = np.einsum("nki,ki->nk", sight, self.direction) / np.linalg.norm(sight, axis=2)
+        return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)) / self.sigma)
+
+    def some(self, rows: NDArray[np.int64]) -> _Early:
+        """Return some of them."""
+        return _Early(self.time_s[rows], self.place_m[rows], self.direction[rows], self.sigma[rows])
+
+
+def _early(lines: Lines, start_s: float, early: NDArray[np.bool_]) -> _Early:
     time = lines.time_s[early] - start_s
-    # Axes at rest, those of ECEF at the start: turned back by what the Earth turned since.
-    place = turn_to_reception(lines.sensor_m[early], -time, EARTH_ROTATION_RAD_S)
-    direction = turn_to_reception(lines.direction[early], -time, EARTH_ROTATION_RAD_S)
+    return _Early(
+        time,
+        # Turned back by what the Earth turned since.
+        turn_to_reception(lines.sensor_m[early], -time, EARTH_ROTATION_RAD_S),
+        turn_to_reception(lines.direction[early], -time, EARTH_ROTATION_RAD_S),
+        np.hypot(*lines.sigma[early].T),
+    )
+
+
+def _arcs(early: _Early) -> list[NDArray[np.float64]]:
+    """Return the best orbits of any eccentricity, states in ECEF at the start, shape (6,) each."""
+    sequence = np.argsort(early.time_s, kind="stable")
+    judged = early.some(sequence[np.linspace(0, sequence.size - 1, _JUDGES).astype(np.int64)])
+    time, first, second = judged.time_s, 0, _JUDGES - 1
+    gap = float(time[second] - time[first])
+    if not gap > 0.0:
+        return []
+    scanned = np.geomspace(_NEAREST_M, _FARTHEST_M, _ARC_DISTANCES)
+    pairs = np.stack(np.meshgrid(scanned, scanned, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    def orbits(
+        distance: NDArray[np.float64], *, far: bool
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return places and velocities at the start, and angles missed, of pairs of distances."""
+        r1 = judged.place_m[first] + distance[:, :1] * judged.direction[first]
+        r2 = judged.place_m[second] + distance[:, 1:] * judged.direction[second]
+        velocity = lambert(r1, r2, gap, far=far)
+        return r1, velocity, judged.scores(along(r1, velocity, time - time[first]))
+
+    found: list[tuple[float, NDArray[np.float64]]] = []
+    for far in (False, True):
+        r1, _, missed = orbits(pairs, far=far)
+        score = np.mean(missed**2, axis=1)
+        inside = np.linalg.norm(r1, axis=1) < EARTH_RADIUS_M
+        score = np.where(np.isfinite(score) & ~inside, score, np.inf).reshape(2 * [scanned.size])
+        edged = np.pad(score, 1, constant_values=np.inf)
+        around = [
+            edged[1 + i : edged.shape[0] - 1 + i, 1 + j : edged.shape[1] - 1 + j]
+            for i in (-1, 0, 1)
+            for j in (-1, 0, 1)
+            if i or j
+        ]
+        least = np.flatnonzero((score <= np.min(around, axis=0)) & np.isfinite(score))
+        least = least[np.argsort(score.ravel()[least])][:_ARCS]
+        if not least.size:
+            continue
+        solved = _refined(partial(orbits, far=far), pairs[least])
+        for place, speed, missed in zip(*orbits(solved, far=far), strict=True):
+            if np.isfinite(missed).all():
+                moving = speed - np.cross(_SPIN, place)
+                found.append((float(np.mean(missed**2)), np.concatenate([place, moving])))
+    found.sort(key=lambda entry: entry[0])
+    return [state for _, state in found[:_CIRCLES]]
+
+
+def _refined(
+    orbits: Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], ...]],
+    distance: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return pairs of distances, shape (n, 2), where two bodies come nearest to the directions.
+
+    Levenberg-Marquardt on their logarithms, all pairs at once.
+    """
+    at = np.log(distance)
+    count = len(at)
+    damping = np.full(count, 1e-3)
+    moves = np.concatenate([np.zeros((1, 2)), _LOG_STEP * np.eye(2)])
+
+    def missed(logarithm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.nan_to_num(orbits(np.exp(logarithm))[2], nan=1e9, posinf=1e9)
+
+    for _ in range(_REFINEMENTS):
+        here, first, second = missed((at + moves[:, None]).reshape(-1, 2)).reshape(3, count, -1)
+        slope = np.stack([first - here, second - here], axis=2) / _LOG_STEP
+        square = np.swapaxes(slope, 1, 2) @ slope
+        diagonal = np.einsum("nii->ni", square)
+        diagonal += damping[:, None] * diagonal + 1e-12
+        gradient = np.einsum("nki,nk->ni", slope, here)
+        step = np.linalg.solve(square, gradient[..., None])[..., 0]
+        there = at - np.clip(step, -_LONGEST_LOG_STEP, _LONGEST_LOG_STEP)
+        better = np.sum(missed(there) ** 2, axis=1) < np.sum(here**2, axis=1)
+        at = np.where(better[:, None], there, at)
+        damping *= np.where(better, 0.1, 30.0)
+    return np.asarray(np.exp(at))
+
+
+def _circles(early: _Early) -> list[NDArray[np.float64]]:
+    """Return the best circular orbits, states in ECEF at the start, shape (6,) each."""
+    time, place, direction = early.time_s, early.place_m, early.direction
     first, second = int(np.argmin(time)), int(np.argmax(time))
-    sigma = np.hypot(*lines.sigma[early].T)
     scanned = np.geomspace(_NEAREST_M, _FARTHEST_M, _DISTANCES)
     r1 = place[first] + scanned[:, None] * direction[first]
     radius = np.linalg.norm(r1, axis=1)
@@ -103,10 +243,7 @@ def _circles(lines: Lines, start_s: float) -> list[NDArray[np.float64]]:
         aside = np.cross(normal, r1)
         phase = rate[:, None] * time
         at = np.cos(phase)[..., None] * r1[:, None] + np.sin(phase)[..., None] * aside[:, None]
-        sight = at - place
-        cosine = np.einsum("kni,ni->kn", sight, direction) / np.linalg.norm(sight, axis=2)
-        angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-        score = np.where(possible, np.mean((angle / sigma) ** 2, axis=1), np.inf)
+        score = np.where(possible, np.mean(early.scores(at) ** 2, axis=1), np.inf)
         edge = np.concatenate([[np.inf], score, [np.inf]])
         for index in np.flatnonzero((score < edge[:-2]) & (score <= edge[2:])):
             velocity = rate[index] * aside[index] - np.cross(_SPIN, r1[index])
@@ -116,27 +253,37 @@ def _circles(lines: Lines, start_s: float) -> list[NDArray[np.float64]]:
 
 
 def _fall(
-    state: NDArray[np.float64], start_s: float, time_s: NDArray[np.float64]
+    state: NDArray[np.float64],
+    start_s: float,
+    time_s: NDArray[np.float64],
+    forces: Forces | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return states at times, shape (n, 6), and derivatives by the first, shape (n, 6, 6).
+    """Return states at times, shape (n, 6), and derivatives by the first, shape (n, 6, 6 + e).
 
     Parameters
     ----------
     state
-        Shape (6,): at the start, ECEF.
+        Shape (6 + e,): at the start, ECEF, with the forces' unknowns.
     start_s, time_s
         The start, and times, shape (n,), seconds.
+    forces
+        What acts beside gravity.
     """
+    size = state.size
+    unknown = state[6:]
 
-    def rates(_: float, packed: NDArray[np.float64]) -> NDArray[np.float64]:
-        x, phi = packed[:6], packed[6:].reshape(6, 6)
-        value, by_position, by_velocity = acceleration(x[None, :3], x[None, 3:], "ecef", 4)
+    def rates(now_s: float, packed: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, phi = packed[:6], packed[6:].reshape(6, size)
+        value, by_position, by_velocity, by_unknown = total_acceleration(
+            np.concatenate([x, unknown])[None], np.array([now_s]), "ecef", 4, forces
+        )
         lower = by_position[0] @ phi[:3] + by_velocity[0] @ phi[3:]
+        lower[:, 6:] += by_unknown[0]
         return np.concatenate([x[3:], value[0], phi[3:].ravel(), lower.ravel()])
 
     order, inverse = np.unique(time_s, return_inverse=True)
-    result = np.empty((order.size, 42))
-    packed = np.concatenate([state, np.eye(6).ravel()])
+    result = np.empty((order.size, 6 + 6 * size))
+    packed = np.concatenate([state[:6], np.eye(6, size).ravel()])
     for later in (True, False):
         rows = np.flatnonzero(order >= start_s if later else order < start_s)
         if not rows.size:
@@ -154,22 +301,33 @@ def _fall(
         )
         result[rows] = solved.y.T if solved.y.shape[1] == rows.size else np.nan
     whole = result[inverse]
-    return whole[:, :6], whole[:, 6:].reshape(-1, 6, 6)
+    return whole[:, :6], whole[:, 6:].reshape(-1, 6, size)
 
 
 def _fitted(
-    lines: Lines, start_s: float, state: NDArray[np.float64], rows: NDArray[np.bool_]
+    lines: Lines,
+    start_s: float,
+    state: NDArray[np.float64],
+    rows: NDArray[np.bool_],
+    forces: Forces | None = None,
+    *,
+    most: int = _STEPS,
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the orbit through some directions and its root mean square residual, in sigmas."""
+    """Return the orbit through some directions and its root mean square residual, in sigmas.
+
+    The forces' unknowns, behind the state, are held by their priors.
+    """
     time, place = lines.time_s[rows], lines.sensor_m[rows]
     across, sigma = lines.across[rows], lines.sigma[rows]
+    prior = np.zeros(0) if forces is None else forces.sigma
+    held = np.concatenate([np.zeros((prior.size, 6)), np.diag(1.0 / prior)], axis=1)
     kept: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
 
     def evaluate(x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         key = x.tobytes()
         if key not in kept:
             kept.clear()
-            states, jacobian = _fall(x, start_s, time)
+            states, jacobian = _fall(x, start_s, time, forces)
             # The object was farther back when the light left, in axes that do not turn.
             inertial = states[:, 3:] + np.cross(_SPIN, states[:, :3])
             delay = np.linalg.norm(states[:, :3] - place, axis=1) / SPEED_OF_LIGHT_M_S
@@ -180,28 +338,26 @@ def _fitted(
             by_state = np.einsum("nki,nij->nkj", across, jacobian[:, :3]) * white[..., None]
             by_distance = np.einsum("ni,nij->nj", sight, jacobian[:, :3]) / distance[:, None] ** 2
             by_state -= residual[..., None] * by_distance[:, None]
-            finite = np.isfinite(residual).all() and np.isfinite(by_state).all()
-            kept[key] = (
-                (residual.ravel(), by_state.reshape(-1, 6))
-                if finite
-                else (np.full(residual.size, 1e9), np.zeros((residual.size, 6)))
-            )
+            found = residual.ravel(), by_state.reshape(-1, x.size)
+            if not (np.isfinite(found[0]).all() and np.isfinite(found[1]).all()):
+                found = np.full(residual.size, 1e9), np.zeros((residual.size, x.size))
+            kept[key] = found
         return kept[key]
 
     def residuals(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return evaluate(x)[0]
+        return np.concatenate([evaluate(x)[0], x[6:] / prior])
 
     def derivatives(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return evaluate(x)[1]
+        return np.concatenate([evaluate(x)[1], held])
 
     solved = least_squares(
         residuals,
-        state,
+        np.concatenate([state, np.zeros(6 + prior.size - state.size)]),
         jac=derivatives,
-        x_scale=np.repeat([1e5, 1e2], 3),
+        x_scale=np.concatenate([np.repeat([1e5, 1e2], 3), prior]),
         loss="cauchy",
         f_scale=3.0,
-        max_nfev=30,
+        max_nfev=most,
     )
     residual = evaluate(solved.x)[0]
     return float(np.sqrt(np.median(residual**2)) / 0.6745), solved.x

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from geograph.factors.gravity import acceleration
+from geograph.factors.gravity import propagate, total_acceleration
 from geograph.factors.kinematics import interpolation_weights
 from geograph.falls import propagated
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.factors.forces import Forces
     from geograph.factors.gravity import Degree
 
 Order = Literal[1, 2, 3]
@@ -64,6 +65,7 @@ class Path(ABC):
     def __init__(self, knots_s: NDArray[np.float64], order: Order) -> None:
         self.knots_s = knots_s
         self.order: Order = order
+        self.size = 3 * order
         self.steps_s = np.diff(knots_s) if knots_s.size > 1 else np.ones(1)
 
     def locate(self, time_s: NDArray[np.float64]) -> Place:
@@ -84,7 +86,7 @@ class Path(ABC):
 
     @abstractmethod
     def at_state(self, state: NDArray[np.float64], *, jacobian: bool) -> PathState:
-        """Return the path through given knots' states, shape (K, 3 order)."""
+        """Return the path through given knots' states, shape (K, size)."""
 
 
 class PathState(ABC):
@@ -170,7 +172,8 @@ class KinematicPathState(PathState):
 
 
 _RECENT_FALLS = 2
-_falls: dict[tuple[bytes, bytes, str, int], tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+_Key = tuple[bytes, bytes, bytes, str, int, "Forces | None"]
+_falls: dict[_Key, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
 
 
 def fall(
@@ -178,16 +181,25 @@ def fall(
     step_s: NDArray[np.float64],
     frame: Literal["ecef", "local"],
     degree: Degree,
+    *,
+    forces: Forces | None = None,
+    start_s: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return :func:`geograph.factors.gravity.propagate` of the same, read-only.
 
     The last two are kept: a step of the solver asks for the same falls for its cost, its
     measurements and its transitions, each time, and they are most of its work.
     """
-    key = (state.tobytes(), step_s.tobytes(), frame, int(degree))
+    if forces is None:
+        start_s = None
+    start = b"" if start_s is None else start_s.tobytes()
+    key = (state.tobytes(), step_s.tobytes(), start, frame, int(degree), forces)
     found = _falls.get(key)
     if found is None:
-        found = propagated(state, step_s, frame, degree)
+        if forces is None:
+            found = propagated(state, step_s, frame, degree)
+        else:
+            found = propagate(state, step_s, frame, degree, forces=forces, start_s=start_s)
         for part in found:
             part.setflags(write=False)
         while len(_falls) >= _RECENT_FALLS:
@@ -212,6 +224,8 @@ class BallisticPath(Path):
         ``"ecef"`` or ``"local"``; see :mod:`geograph.factors.gravity`.
     degree
         Highest zonal harmonic of gravity.
+    forces
+        What acts beside gravity; its unknowns stand behind the velocity in the knots' states.
     """
 
     LONGEST_STEP_S = 60.0
@@ -222,10 +236,13 @@ class BallisticPath(Path):
         knots_s: NDArray[np.float64],
         frame: Literal["ecef", "local"],
         degree: Degree = 2,
+        forces: Forces | None = None,
     ) -> None:
         super().__init__(knots_s, 2)
         self.degree: Degree = degree
         self.frame: Literal["ecef", "local"] = frame
+        self.forces = forces
+        self.size = 6 + (0 if forces is None else len(forces.names))
 
     def _weights(
         self, step_s: NDArray[np.float64], offset_s: NDArray[np.float64]
@@ -240,7 +257,7 @@ class BallisticPath(Path):
         return both(0), both(1)
 
     def at_state(self, state: NDArray[np.float64], *, jacobian: bool = False) -> BallisticPathState:
-        """Return the path through given knots' states, shape (K, 6)."""
+        """Return the path through given knots' states, shape (K, size)."""
         return BallisticPathState(self, state, jacobian=jacobian)
 
 
@@ -249,21 +266,24 @@ class BallisticPathState(PathState):
 
     def __init__(self, path: BallisticPath, state: NDArray[np.float64], *, jacobian: bool) -> None:
         first, second = state[:-1], state[1:]
-        count = first.shape[0]
-        model = path.frame, path.degree
-        self.fall, self.fall_jacobian = fall(first, path.steps_s, *model)
-        start, start_p, start_v = acceleration(first[:, :3], first[:, 3:], *model)
-        end, end_p, end_v = acceleration(self.fall[:, :3], self.fall[:, 3:], *model)
-        self._basis = np.concatenate([first, start, self.fall, end, second], axis=1).reshape(
-            count, 8, 3
+        count, size = first.shape
+        model = path.frame, path.degree, path.forces
+        times = path.knots_s[:-1], path.knots_s[1:]
+        self.fall, self.fall_jacobian = fall(
+            first, path.steps_s, path.frame, path.degree, forces=path.forces, start_s=times[0]
         )
+        start, *start_by = total_acceleration(first, times[0], *model)
+        end, *end_by = total_acceleration(self.fall, times[1], *model)
+        blocks = [first[:, :6], start, self.fall[:, :6], end, second[:, :6]]
+        self._basis = np.concatenate(blocks, axis=1).reshape(count, 8, 3)
+        self._size = size
         if jacobian:
-            derivative = np.empty((count, 6, 3, 6))
-            derivative[:, :2] = np.eye(6).reshape(2, 3, 6)
-            derivative[:, 2] = np.concatenate([start_p, start_v], axis=2)
-            derivative[:, 3:5] = self.fall_jacobian.reshape(count, 2, 3, 6)
-            derivative[:, 5] = end_p @ self.fall_jacobian[:, :3] + end_v @ self.fall_jacobian[:, 3:]
-            self._derivative = derivative.reshape(count, 6, 18)
+            derivative = np.empty((count, 6, 3, size))
+            derivative[:, :2] = np.eye(6, size).reshape(2, 3, size)
+            derivative[:, 2] = np.concatenate(start_by, axis=2)
+            derivative[:, 3:5] = self.fall_jacobian[:, :6].reshape(count, 2, 3, size)
+            derivative[:, 5] = np.concatenate(end_by, axis=2) @ self.fall_jacobian
+            self._derivative = derivative.reshape(count, 6, 3 * size)
 
     def chain(
         self,
@@ -273,17 +293,16 @@ class BallisticPathState(PathState):
     ) -> NDArray[np.float64]:
         """Return derivatives by both neighbours; see :meth:`PathState.chain`."""
         count, rows, _ = by_position.shape
-        derivative = self._derivative[place.interval]
-        result = np.empty((count, rows, 2, 6))
+        derivative, size = self._derivative[place.interval], self._size
+        result = np.zeros((count, rows, 2, size))
 
-        def accumulate(weights: NDArray[np.float64], by: NDArray[np.float64], first: bool) -> None:
-            by_first = np.matmul(weights[:, None, :6], derivative).reshape(count, 3, 6)
-            one = by @ by_first
-            two = (weights[:, None, 6:, None] * by[:, :, None, :]).reshape(count, rows, 6)
-            result[:, :, 0] = one if first else result[:, :, 0] + one
-            result[:, :, 1] = two if first else result[:, :, 1] + two
+        def accumulate(weights: NDArray[np.float64], by: NDArray[np.float64]) -> None:
+            by_first = np.matmul(weights[:, None, :6], derivative).reshape(count, 3, size)
+            result[:, :, 0] += by @ by_first
+            two = weights[:, None, 6:, None] * by[:, :, None, :]
+            result[:, :, 1, :6] += two.reshape(count, rows, 6)
 
-        accumulate(place.position_weights, by_position, True)
+        accumulate(place.position_weights, by_position)
         if by_velocity is not None:
-            accumulate(place.velocity_weights, by_velocity, False)
+            accumulate(place.velocity_weights, by_velocity)
         return result

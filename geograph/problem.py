@@ -41,11 +41,25 @@ class PathPrior:
     mean
         Shape (3m,), SI.
     sigma
-        Shape (3m,), SI; chosen so wide that data that determine the path do not feel it.
+        Shape (3m,), SI; chosen so wide that data that determine the path do not feel it. Those of
+        the forces' unknowns, which follow, are as given.
     """
 
     mean: NDArray[np.float64]
     sigma: NDArray[np.float64]
+
+    def centred(self, state: NDArray[np.float64], size: int) -> PathPrior:
+        """Return the prior about another state, whose first components, so many, are the path's.
+
+        The forces' unknowns, which follow, keep theirs.
+        """
+        return replace(self, mean=np.concatenate([state[:size], self.mean[size:]]))
+
+    def as_wide_as(self, sigma: NDArray[np.float64]) -> PathPrior:
+        """Return the prior with the path's sigmas, shape (3m,), at least as wide as given ones."""
+        size = sigma.size
+        wide = np.maximum(self.sigma[:size], sigma)
+        return replace(self, sigma=np.concatenate([wide, self.sigma[size:]]))
 
 
 class Problem:
@@ -111,7 +125,7 @@ class Problem:
         self.steps_s = np.diff(knots_s)
         self.noise_times = None if stages is None else stages.over(knots_s)
         self.layout = ColumnLayout(
-            3 * motion.order, walk_scale.size, states.size, chained=knots_s.size > 1
+            motion.size, walk_scale.size, states.size, chained=knots_s.size > 1
         )
         self.scale = np.concatenate([path_scale, np.ones(walk_scale.size)])
         self._chain_start = states.chain_start_sigma()
@@ -226,7 +240,7 @@ class Problem:
         if self.knots_s.size == 1:
             return np.zeros((0, self.layout.knot))
         if path_residual is None:
-            path_residual = self.motion.residual(values.path, self.steps_s)
+            path_residual = self.motion.residual(values.path, self.steps_s, self.knots_s[:-1])
         if self.noise_times is not None:
             path_residual = path_residual / self.noise_times[:, None]
         if not values.walks.shape[1]:
@@ -300,7 +314,7 @@ class Problem:
             return np.zeros((0, d, d)), np.zeros((0, d, d)), np.zeros((0, d))
         if self._constant_transitions is not None:
             return *self._constant_transitions, self._noise_residual(values)
-        found = self.motion.linear(values.path, self.steps_s, self.path_scale)
+        found = self.motion.linear(values.path, self.steps_s, self.path_scale, self.knots_s[:-1])
         residual = self._noise_residual(values, found.residual)
         inverse = np.zeros((count, d, d))
         root = np.zeros((count, d, d))

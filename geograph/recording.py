@@ -43,6 +43,16 @@ MotionName = Literal[
     "orbital",
 ]
 EliminationName = Literal["structured", "gtsam"]
+AccelerationAxes = Literal["rtn", "inertial"]
+"""Axes of an unknown acceleration (:data:`geograph.factors.forces.ForceAxes`)."""
+NO_FORCES: dict[str, Any] = {
+    "moon": False,
+    "sun": False,
+    "drag_m2_kg": None,
+    "drag_sigma_m2_kg": None,
+    "acceleration_sigma_m_s2": None,
+}
+"""Settings of a path on which nothing acts beside gravity."""
 LossName = Literal["auto", "none", "huber", "cauchy", "geman-mcclure", "gnc"]
 
 
@@ -75,6 +85,18 @@ class SmoothSettings:
         outliers show, which are then rejected by graduated non-convexity.
     max_iterations
         Limit of Levenberg-Marquardt iterations in one solve.
+    moon, sun
+        Whether they pull on a satellite (motion ``orbital``, as all that follow).
+    drag_m2_kg
+        Drag coefficient times area over mass; None: no drag.
+    drag_sigma_m2_kg
+        Its prior sigma: it is estimated. None: it is known.
+    acceleration_sigma_m_s2
+        Prior sigma of each component of an unknown constant acceleration, which is estimated.
+        None: there is none.
+    acceleration_axes
+        Along which it is constant: ``"rtn"`` (radial, transverse, normal) or ``"inertial"`` (the
+        axes of ECEF at time zero, kept at rest).
     elimination
         Who factorises the linear systems: ``"structured"`` (our own, exact for any process noise),
         or ``"gtsam"`` for GTSAM's general elimination of the same blocks. Not in recordings.
@@ -92,6 +114,12 @@ class SmoothSettings:
     spacing_s: float | None = None
     loss: LossName = "auto"
     max_iterations: int = 500
+    moon: bool = False
+    sun: bool = False
+    drag_m2_kg: float | None = None
+    drag_sigma_m2_kg: float | None = None
+    acceleration_sigma_m_s2: float | None = None
+    acceleration_axes: AccelerationAxes = "rtn"
     elimination: EliminationName = "structured"
 
     def __post_init__(self) -> None:
@@ -116,6 +144,7 @@ class SmoothSettings:
         if self.stages is not None and self.stages != "auto":
             pairs = tuple((float(start), float(times)) for start, times in self.stages)
             object.__setattr__(self, "stages", pairs)
+        self._check_forces()
         if self.spacing_s is not None and not _positive(self.spacing_s):
             raise InputError(
                 f"spacing_s is {self.spacing_s}; expected a finite number above 0 (seconds)",
@@ -153,6 +182,32 @@ class SmoothSettings:
                 "process_noise_along needs one number as process_noise (the noise across the "
                 "velocity; auto finds both) and a motion that has a velocity",
                 column="process_noise_along",
+            )
+
+    @property
+    def forces(self) -> tuple[str, ...]:
+        """Names of the settings that ask for a force beside gravity."""
+        return tuple(name for name in NO_FORCES if getattr(self, name) not in (False, None))
+
+    def _check_forces(self) -> None:
+        for name in NO_FORCES:
+            value = getattr(self, name)
+            if name in ("moon", "sun"):
+                if not isinstance(value, bool):
+                    raise InputError(f"{name} is {value!r}; expected true or false", column=name)
+            elif value is not None and not _positive(value):
+                raise InputError(
+                    f"{name} is {value!r}; expected a finite number above 0", column=name
+                )
+        if self.acceleration_axes not in get_args(AccelerationAxes):
+            raise InputError(
+                f"unknown acceleration_axes {self.acceleration_axes!r}; expected rtn or inertial",
+                column="acceleration_axes",
+            )
+        if self.forces and self.motion != "orbital":
+            raise InputError(
+                f"{self.forces[0]} needs the motion orbital; given {self.motion}",
+                column=self.forces[0],
             )
 
     def replace(self, **changes: Any) -> SmoothSettings:

@@ -13,6 +13,7 @@ from geograph.eliminate import Marginals
 from geograph.hypotheses import off_terrain
 from geograph.knots import NEGLIGIBLE
 from geograph.observability import WeakDirections, weak_directions
+from geograph.orbit_forces import force_estimates
 from geograph.reset_report import reset_facts
 from geograph.robust import thresholds
 from geograph.solver import Status
@@ -45,8 +46,8 @@ def make_track(smoother: Smoother, *, seconds: float) -> Track:
     problem, solution = smoother.problem, smoother.solution
     values = solution.values
     marginals = _marginals(smoother)
-    size = values.path.shape[1]
-    scale = problem.path_scale
+    size = 3 * problem.motion.order
+    scale = problem.path_scale[:size]
     covariance = marginals.knots[:, :size, :size] * scale[:, None] * scale
     found = problem.evaluate(values, jacobian=False)
     out = outliers(smoother, found)
@@ -54,7 +55,7 @@ def make_track(smoother: Smoother, *, seconds: float) -> Track:
     errors = sensor_estimates(smoother, marginals)
     track = Track(
         time_s=problem.knots_s,
-        state=values.path,
+        state=values.path[:, :size],
         covariance=covariance,
         frame=smoother.prepared.recording.frame,
         recording=smoother.prepared.recording,
@@ -198,6 +199,11 @@ def sensor_estimates(
             state.sigma,
         )  # fmt: skip
     size = values.path.shape[1]
+    found = force_estimates(
+        problem.motion, values.path[-1], marginals.knots[-1], problem.path_scale
+    )
+    for owner, entries in found.items():
+        result.setdefault(owner, {}).update(entries)
     for column, walk in enumerate(problem.states.walks):
         scale = float(problem.walk_scale[column])
         at = size + column

@@ -18,6 +18,7 @@ from geograph.errors import SolveError
 from geograph.families import SensorFamily, Values
 from geograph.knots import NEGLIGIBLE, add_path_noise, ignored_share
 from geograph.losses import Loss
+from geograph.orbit_forces import forces_of
 from geograph.prepare import Prepared, prepare
 from geograph.problem import Problem
 from geograph.range_retries import further_fits
@@ -26,7 +27,7 @@ from geograph.resets import Resets, find_resets, searched
 from geograph.rivals import Attempt, Rival, find_rivals
 from geograph.robust import anneal, thresholds
 from geograph.solver import Solution, Status, solve
-from geograph.starts import choose_knots, first_fits, start
+from geograph.starts import choose_knots, first_fits, prior_width, start
 from geograph.threads import single_blas_thread
 from geograph.tuning import solved_evidence, tune_direction, tune_noise, tune_stages
 
@@ -44,6 +45,10 @@ _TRIAL_ITERATIONS = 40
 
 # Further first guesses are tried where the median square is above that of normal errors by this.
 _MISFIT = 2.0
+
+# Sigmas from its middle at which the weak prior of the first knot is felt: it is a hundred
+# distances wide, so that the first guess's distances were wrong.
+_FELT = 1.0
 
 # An estimate whose signals were emitted so many times the recording's length away has run off.
 _RUN_OFF = 1e6
@@ -130,6 +135,7 @@ class Smoother:
             self.prepared,
             static=settings.motion == "static",
             orbital=settings.motion == "orbital",
+            forces=forces_of(self.prepared.recording, settings),
         )
         several = len(fits) > 1
         for fit in fits:
@@ -317,7 +323,7 @@ class Smoother:
             families=self.prepared.families(knots),
             states=problem.states,
             walk_scale=problem.walk_scale,
-            prior=replace(problem.prior, mean=values.path[0]),
+            prior=problem.prior.centred(values.path[0], 3 * problem.motion.order),
             path_scale=problem.path_scale,
             loss=problem.loss,
             weights=weights,
@@ -365,6 +371,20 @@ class Smoother:
             for value in np.unique(times).tolist()
         )
 
+    def _loosen(self) -> None:
+        """Put the weak prior of the first knot about the estimate where it is felt.
+
+        Its width follows the first guess's distances, and these may have been far too short.
+        """
+        problem, state = self.problem, self.solution.values.path[0]
+        order, prior = problem.motion.order, problem.prior
+        size = 3 * order
+        if not np.abs((state - prior.mean) / prior.sigma)[:size].max() > _FELT:
+            return
+        reach = float(np.median(self.emissions()[0]))
+        width = prior_width(reach, self.prepared.span_s, order)
+        self.problem = problem._copy(prior=prior.as_wide_as(width).centred(state, size))
+
     def _settle(self) -> None:
         """Solve until what a solve holds fixed agrees with its result."""
         for _ in range(_ROUNDS):
@@ -383,6 +403,7 @@ class Smoother:
                     self.respace()
                     continue
             self.bring_up_to_date(before)
+            self._loosen()
             cost = self.problem.cost(before)
             if abs(cost - self.solution.cost) <= 1e-6 * max(1.0, cost):
                 break
@@ -408,6 +429,7 @@ def first_problem(recording: Recording, settings: SmoothSettings) -> tuple[Probl
         smoother.prepared,
         static=settings.motion == "static",
         orbital=settings.motion == "orbital",
+        forces=forces_of(recording, settings),
     )
     problem, values = smoother.start(fits[0], loss)
     # As it stands: what all clocks have in common is left to their priors.

@@ -28,6 +28,10 @@ TOLERANCE = 1e-9
 # A minimum that rounding hides is within this many tolerances (5 % of a posterior sigma).
 _ROUNDING = 1e6
 
+# A plain step that promises no more than so many tolerances, and does not keep it, was rounding:
+# with a small process noise the position's last digits are worth that much.
+_LOST_IN_ROUNDING = 100.0
+
 _FIRST_DAMPING = 1e-4
 _LARGEST_DAMPING = 1e14
 
@@ -131,12 +135,13 @@ def solve(
             continue
         if whole:
             system = problem.linearise(values)
-        if small:
+        lost = whole and step.decrease <= _LOST_IN_ROUNDING * tolerance * max(1.0, system.cost)
+        if small or lost:
             return _stuck(values, system, iteration + 1, tolerance=tolerance)
         damping = damping * growth if damping > 0.0 else _FIRST_DAMPING
         growth *= 2.0
         if damping > _LARGEST_DAMPING:
-            return Solution(values, Status.DIVERGED, system.cost, iteration, _undamped(system))
+            return _stuck(values, system, iteration, tolerance=tolerance)
     return Solution(values, Status.ITERATION_LIMIT, system.cost, max_iterations, _undamped(system))
 
 

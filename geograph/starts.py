@@ -12,6 +12,7 @@ from geograph.families import BearingFamily, Values
 from geograph.initialise import FirstGuess
 from geograph.knots import Resolution, automatic_spacing, check_memory, place_knots
 from geograph.motion import Density, Motion
+from geograph.orbit_forces import forces_of
 from geograph.problem import PathPrior, Problem
 from geograph.process_noise import guess_noise
 from geograph.stages import Stages
@@ -21,6 +22,7 @@ from geograph.terrain_starts import ground_height, levelled, terrain_fits
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.factors.forces import Forces
     from geograph.initialise import PathFit
     from geograph.losses import Loss
     from geograph.prepare import Prepared
@@ -30,7 +32,9 @@ if TYPE_CHECKING:
 _PRIOR_WIDTH = 100.0
 
 
-def first_fits(prepared: Prepared, *, static: bool, orbital: bool = False) -> list[PathFit]:
+def first_fits(
+    prepared: Prepared, *, static: bool, orbital: bool = False, forces: Forces | None = None
+) -> list[PathFit]:
     """Return first guesses of the path, the most promising of each kind of measurement first.
 
     Parameters
@@ -41,6 +45,8 @@ def first_fits(prepared: Prepared, *, static: bool, orbital: bool = False) -> li
         Whether the object stands still.
     orbital
         Whether it is in orbit: an orbit through all bearings, if there is one, is the one guess.
+    forces
+        What acts on it beside gravity.
     """
     recording = levelled(prepared.recording)
     fits: list[PathFit] = []
@@ -56,7 +62,7 @@ def first_fits(prepared: Prepared, *, static: bool, orbital: bool = False) -> li
         if orbital and recording.frame == "ecef":
             from geograph.orbit_starts import orbit_fits
 
-            fits += orbit_fits(finder)
+            fits += orbit_fits(finder, forces)
         above, terrain = ground_height(prepared.recording.constraints), recording.terrain
         if above is not None and terrain is not None:
             fits += terrain_fits(finder, terrain, above)
@@ -121,7 +127,8 @@ def start(
     if noise == "auto":
         noise = guess_noise(fit, order, resolved)
     density = Density.of(noise, settings.process_noise_along)
-    motion = Motion(settings.motion, density, prepared.recording.frame)
+    forces = forces_of(prepared.recording, settings)
+    motion = Motion(settings.motion, density, prepared.recording.frame, forces)
     stages = None
     if isinstance(settings.stages, tuple) and not motion.static:
         stages = Stages.of(settings.stages)
@@ -133,10 +140,12 @@ def start(
         resolved=resolved,
         stages=stages,
     )
-    state = fit.state(knots, order)
+    unknown = np.zeros(0) if forces is None else forces.sigma
+    state = np.concatenate([fit.state(knots, order), np.zeros((knots.size, unknown.size))], axis=1)
     span = prepared.span_s
     rank = np.repeat(np.arange(order, dtype=np.float64), 3)
-    prior = PathPrior(state[0], _PRIOR_WIDTH * max(fit.range_m, resolved.sigma_m) * span**-rank)
+    width = prior_width(max(fit.range_m, resolved.sigma_m), span, order)
+    prior = PathPrior(state[0], np.concatenate([width, unknown]))
     # What the sensors may be off by is the unit of length, a tenth of the pass that of time.
     states = prepared.states
     scale = resolved.sigma_m * _blur(prepared, resolved) * (10.0 / span) ** rank
@@ -151,7 +160,7 @@ def start(
         states=states,
         walk_scale=prepared.walk_scale,
         prior=prior,
-        path_scale=np.asarray(scale, dtype=np.float64),
+        path_scale=np.concatenate([scale, unknown]),
         loss=loss,
         elimination=settings.elimination,
         shift=None if motion.static else prepared.shift,
@@ -160,6 +169,20 @@ def start(
     values = Values(state, np.zeros((knots.size, states.chains)), constants)
     problem.refresh(values)
     return problem, values, resolved
+
+
+def prior_width(reach_m: float, span_s: float, order: int) -> NDArray[np.float64]:
+    """Return sigmas of the first knot's weak prior, shape (3m,), SI.
+
+    Parameters
+    ----------
+    reach_m, span_s
+        How far the object is, and for how long it is measured.
+    order
+        Blocks of the state.
+    """
+    rank = np.repeat(np.arange(order, dtype=np.float64), 3)
+    return np.asarray(_PRIOR_WIDTH * reach_m * span_s**-rank)
 
 
 def _blur(prepared: Prepared, resolved: Resolution) -> float:
@@ -258,7 +281,7 @@ def _even_knots(
         spacing = automatic_spacing(motion, states, resolved)
     elif motion.ballistic:
         spacing = min(spacing, motion.longest_step_s)
-    unknowns = 2 * (3 * motion.order + states.chains) + states.size + 1
+    unknowns = 2 * (motion.size + states.chains) + states.size + 1
     count = float(np.ptp(times)) / spacing
     if automatic:
         # The knots at the times themselves, and those in the gaps between.

@@ -89,7 +89,7 @@ class TimeShift:
             For the path's rate of change at the knots.
         """
         by_knots = np.zeros((values.path.shape[0], problem.layout.knot))
-        rate = rates(problem.motion, values.path)
+        rate = rates(problem.motion, values.path, problem.knots_s)
         by_knots[:, : problem.layout.path] = -rate / problem.path_scale
         knots, constants = self.sigma_s * by_knots, self.sigma_s * self.by_shift
         return replace(
@@ -101,11 +101,13 @@ class TimeShift:
         )
 
 
-def rates(motion: Motion, path: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean rate of change of the knots' states, shape (K, 3m), SI units."""
+def rates(
+    motion: Motion, path: NDArray[np.float64], knots_s: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the mean rate of change of the knots' states, shape (K, size), SI units."""
     step = 1e-3
-    ahead, _ = motion.predict(path, np.full(path.shape[0], step))
-    behind, _ = motion.predict(path, np.full(path.shape[0], -step))
+    ahead, _ = motion.predict(path, np.full(path.shape[0], step), knots_s)
+    behind, _ = motion.predict(path, np.full(path.shape[0], -step), knots_s)
     return np.asarray((ahead - behind) / (2.0 * step))
 
 

@@ -243,7 +243,7 @@ class Track(TrackPoints):
         if not np.isfinite(time).all():
             raise InputError("track.at was given a time that is not finite; expected seconds")
         motion, path = self.problem.motion, self.problem.path
-        state = motion.read(path, self.values.path, time)
+        state = motion.read(path, self.values.path, time)[:, : self.state.shape[1]]
         if self.time_s.size == 1:
             shape = (time.size, *self.covariance.shape[1:])
             return TrackPoints(
@@ -260,12 +260,11 @@ class Track(TrackPoints):
     def _between(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
         motion, path, values = self.problem.motion, self.problem.path, self.values
         place = path.locate(time_s)
-        size = self.state.shape[1]
         if isinstance(path, BallisticPath):
             held = path.at_state(values.path, jacobian=True)
             eye = np.broadcast_to(np.eye(3), (time_s.size, 3, 3))
             rows = [held.chain(place, eye, None), held.chain(place, np.zeros_like(eye), eye)]
-            matrix = np.concatenate(rows, axis=1).reshape(time_s.size, size, 2 * size)
+            matrix = np.concatenate(rows, axis=1).reshape(time_s.size, 6, 2 * path.size)
         else:
             weights = interpolation_matrices(motion.order, place.step_s, place.offset_s)
             matrix = np.asarray(np.kron(weights, np.eye(3)), dtype=np.float64)
@@ -283,27 +282,37 @@ class Track(TrackPoints):
         return np.asarray(covariance)
 
     def _pairs(self) -> NDArray[np.float64]:
-        """Return joint covariances of neighbouring knots, shape (K - 1, 6m, 6m), SI units."""
-        size = self.state.shape[1]
+        """Return joint covariances of whole neighbouring knots, shape (K - 1, 2s, 2s), SI units."""
         scale = self.problem.path_scale
+        size = scale.size
         cross = self.marginals.neighbours[:, :size, :size] * scale[:, None] * scale
-        top = np.concatenate([self.covariance[:-1], cross], axis=2)
-        bottom = np.concatenate([np.swapaxes(cross, 1, 2), self.covariance[1:]], axis=2)
+        knots = self._knots()
+        top = np.concatenate([knots[:-1], cross], axis=2)
+        bottom = np.concatenate([np.swapaxes(cross, 1, 2), knots[1:]], axis=2)
         return np.concatenate([top, bottom], axis=1)
+
+    def _knots(self) -> NDArray[np.float64]:
+        """Return the knots' covariances with what is unknown of the forces, shape (K, s, s), SI."""
+        scale = self.problem.path_scale
+        size = scale.size
+        if size == self.state.shape[1]:
+            return self.covariance
+        return np.asarray(self.marginals.knots[:, :size, :size] * scale[:, None] * scale)
 
     def _beyond(self, step_s: NDArray[np.float64], end: int) -> NDArray[np.float64]:
         motion = self.problem.motion
-        start = np.broadcast_to(self.values.path[end], (step_s.size, self.state.shape[1]))
-        _, matrix = motion.predict(start, step_s)
+        size = self.state.shape[1]
+        start = np.broadcast_to(self.values.path[end], (step_s.size, motion.size))
+        _, matrix = motion.predict(start, step_s, np.full(step_s.size, self.time_s[end]))
         noise = motion.noise(start, np.abs(step_s))
         times = self.problem.noise_times
         if times is not None:
             noise *= times[end] ** 2
-        inner = self.covariance[end]
-        if end == 0:
-            # Back in time: the noise lies between, and is carried back with the state.
-            return np.asarray(matrix @ (inner + noise) @ np.swapaxes(matrix, 1, 2))
-        return np.asarray(matrix @ inner @ np.swapaxes(matrix, 1, 2) + noise)
+        inner = self._knots()[end]
+        # Back in time the noise lies between, and is carried back with the state.
+        before, after = (noise, 0.0) if end == 0 else (0.0, noise)
+        found = matrix @ (inner + before) @ np.swapaxes(matrix, 1, 2) + after
+        return np.asarray(found[:, :size, :size])
 
     def likelihood_map(self, *, cells: int = 81) -> LikelihoodMap:
         """Return the posterior of an emitter that stands still as a map over ground.
@@ -399,7 +408,7 @@ class Track(TrackPoints):
                 self.problem.states.walk_resets_s, np.full(time_s.size, walk), time_s
             )
             before, after = cuts.weighed(self.time_s, k, before, after)
-        column = self.state.shape[1] + walk
+        column = self.problem.layout.path + walk
         marginals = self.marginals
         value = before * self.values.walks[k, walk] + after * self.values.walks[k + 1, walk]
         own = (

@@ -28,6 +28,7 @@ from geograph.scenarios.radio_indoor import Indoor, indoor_world
 from geograph.scenarios.radio_mixed import Mixed, mixed_world
 from geograph.scenarios.radio_orbit import Formation, formation_world
 from geograph.scenarios.radio_platforms import Platforms, platforms_world
+from geograph.scenarios.satellites import CASES, satellite_world
 from geograph.scenarios.sound import Microphones, Room, microphones_world, room_world
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ class _Degenerate:
 @cache
 def scenarios() -> dict[str, Scenario]:
     """Return every scenario, by its name."""
-    every = (*_satellites(), *_ground(), *_sound(), *_radio(), *_airborne(), *_moving())
+    every = (*_satellites(), *_orbits(), *_ground(), *_sound(), *_radio(), *_airborne(), *_moving())
     return {scenario.name: scenario for scenario in every}
 
 
@@ -190,6 +191,17 @@ def _satellites() -> Iterator[Scenario]:
         kind=LowOrbit,
         recording=lambda seed, kind: low_orbit_world(seed, kind).recording,
     )
+
+
+def _orbits() -> Iterator[Scenario]:
+    for name, (title, kind) in CASES.items():
+        yield Scenario(
+            name=name,
+            title=title,
+            source=_OURS,
+            kind=partial(_given, kind),
+            recording=partial(_of_world, satellite_world),
+        )
 
 
 def _ground() -> Iterator[Scenario]:

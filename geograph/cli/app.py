@@ -14,10 +14,15 @@ from geograph.cli.doctor_command import doctor
 from geograph.cli.montecarlo_command import montecarlo
 from geograph.cli.names import example_names
 from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotations
+    AccelerationAxes,
+    AccelerationSigma,
+    Drag,
+    DragSigma,
     Elimination,
     Jobs,
     Loss,
     MaxIterations,
+    Moon,
     Motion,
     Plots,
     ProcessNoise,
@@ -25,6 +30,7 @@ from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotati
     Scheduler,
     Spacing,
     StagesOption,
+    Sun,
 )
 from geograph.cli.report_command import report
 from geograph.cli.simulate_command import simulate
@@ -80,6 +86,12 @@ def smooth(
     process_noise: ProcessNoise = None,
     process_noise_along: ProcessNoiseAlong = None,
     stages: StagesOption = None,
+    moon: Moon = None,
+    sun: Sun = None,
+    drag: Drag = None,
+    drag_sigma: DragSigma = None,
+    acceleration_sigma: AccelerationSigma = None,
+    acceleration_axes: AccelerationAxes = None,
     spacing: Spacing = None,
     loss: Loss = None,
     max_iterations: MaxIterations = None,
@@ -101,6 +113,12 @@ def smooth(
         "process_noise": process_noise,
         "process_noise_along": process_noise_along,
         "stages": stages,
+        "moon": moon,
+        "sun": sun,
+        "drag_m2_kg": drag,
+        "drag_sigma_m2_kg": drag_sigma,
+        "acceleration_sigma_m_s2": acceleration_sigma,
+        "acceleration_axes": acceleration_axes,
         "spacing_s": spacing,
         "loss": loss,
         "max_iterations": max_iterations,

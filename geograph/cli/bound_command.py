@@ -9,12 +9,18 @@ from typing import Annotated
 import typer
 
 from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotations
+    AccelerationAxes,
+    AccelerationSigma,
+    Drag,
+    DragSigma,
     Elimination,
+    Moon,
     Motion,
     Plots,
     ProcessNoise,
     ProcessNoiseAlong,
     Spacing,
+    Sun,
 )
 
 _SIGNAL = "Signal, in place of the sigmas of arrivals and differences (all three together)"
@@ -44,6 +50,12 @@ def bound(
     motion: Motion = None,
     process_noise: ProcessNoise = None,
     process_noise_along: ProcessNoiseAlong = None,
+    moon: Moon = None,
+    sun: Sun = None,
+    drag: Drag = None,
+    drag_sigma: DragSigma = None,
+    acceleration_sigma: AccelerationSigma = None,
+    acceleration_axes: AccelerationAxes = None,
     spacing: Spacing = None,
     elimination: Elimination = None,
     snr_db: Annotated[
@@ -123,6 +135,12 @@ def bound(
                 "motion": motion,
                 "process_noise": process_noise,
                 "process_noise_along": process_noise_along,
+                "moon": moon,
+                "sun": sun,
+                "drag_m2_kg": drag,
+                "drag_sigma_m2_kg": drag_sigma,
+                "acceleration_sigma_m_s2": acceleration_sigma,
+                "acceleration_axes": acceleration_axes,
                 "spacing_s": spacing,
                 "elimination": elimination,
             }

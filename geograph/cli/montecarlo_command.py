@@ -9,10 +9,15 @@ import typer
 
 from geograph.cli.names import scenario_names
 from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotations
+    AccelerationAxes,
+    AccelerationSigma,
+    Drag,
+    DragSigma,
     Elimination,
     Jobs,
     Loss,
     MaxIterations,
+    Moon,
     Motion,
     Plots,
     ProcessNoise,
@@ -20,6 +25,7 @@ from geograph.cli.options import (  # noqa: TC001 - typer evaluates the annotati
     Scheduler,
     Spacing,
     StagesOption,
+    Sun,
 )
 from geograph.cli.simulate_command import Changes  # noqa: TC001 - typer evaluates the annotations
 
@@ -67,6 +73,12 @@ def montecarlo(
     process_noise: ProcessNoise = None,
     process_noise_along: ProcessNoiseAlong = None,
     stages: StagesOption = None,
+    moon: Moon = None,
+    sun: Sun = None,
+    drag: Drag = None,
+    drag_sigma: DragSigma = None,
+    acceleration_sigma: AccelerationSigma = None,
+    acceleration_axes: AccelerationAxes = None,
     spacing: Spacing = None,
     loss: Loss = None,
     max_iterations: MaxIterations = None,
@@ -93,6 +105,12 @@ def montecarlo(
                 "process_noise": process_noise,
                 "process_noise_along": process_noise_along,
                 "stages": stages,
+                "moon": moon,
+                "sun": sun,
+                "drag_m2_kg": drag,
+                "drag_sigma_m2_kg": drag_sigma,
+                "acceleration_sigma_m_s2": acceleration_sigma,
+                "acceleration_axes": acceleration_axes,
                 "spacing_s": spacing,
                 "loss": loss,
                 "max_iterations": max_iterations,

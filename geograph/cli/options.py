@@ -72,6 +72,53 @@ Elimination = Annotated[
         rich_help_panel=SETTINGS_PANEL,
     ),
 ]
+Moon = Annotated[
+    bool | None,
+    typer.Option(
+        "--moon/--no-moon",
+        help="Pull of the Moon (motion orbital).",
+        rich_help_panel=SETTINGS_PANEL,
+    ),
+]
+Sun = Annotated[
+    bool | None,
+    typer.Option(
+        "--sun/--no-sun", help="Pull of the Sun (motion orbital).", rich_help_panel=SETTINGS_PANEL
+    ),
+]
+Drag = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M2_KG",
+        help="Drag: coefficient times area over mass, m2/kg (motion orbital).",
+        rich_help_panel=SETTINGS_PANEL,
+    ),
+]
+DragSigma = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M2_KG",
+        help="Prior sigma of --drag, which is then estimated.",
+        rich_help_panel=SETTINGS_PANEL,
+    ),
+]
+AccelerationSigma = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M_S2",
+        help="Prior sigma of an unknown constant acceleration, which is estimated (motion "
+        "orbital).",
+        rich_help_panel=SETTINGS_PANEL,
+    ),
+]
+AccelerationAxes = Annotated[
+    str | None,
+    typer.Option(
+        metavar="AXES",
+        help="Along which it is constant: rtn (radial, transverse, normal) or inertial.",
+        rich_help_panel=SETTINGS_PANEL,
+    ),
+]
 Plots = Annotated[bool, typer.Option("--plots/--no-plots", help="Draw pictures.")]
 Jobs = Annotated[
     int | None,

@@ -17,15 +17,16 @@ if TYPE_CHECKING:
 
 def settings_from(given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings given as flags, checked as far as they can be without a recording."""
-    from geograph.recording import SmoothSettings
+    from geograph.recording import NO_FORCES, SmoothSettings
 
     changes = {name: value for name, value in given.items() if value is not None}
     if "process_noise" in changes:
         changes["process_noise"] = _noise(changes["process_noise"])
     if "stages" in changes:
         changes["stages"] = _stages(changes["stages"])
-    # Whether noise along the velocity makes sense depends on the rest of the recording's settings.
-    alone = {name: value for name, value in changes.items() if name != "process_noise_along"}
+    # Whether these make sense depends on the rest of the recording's settings.
+    with_others = ("process_noise_along", *NO_FORCES)
+    alone = {name: value for name, value in changes.items() if name not in with_others}
     try:
         SmoothSettings(**alone)
     except InputError as error:

@@ -76,7 +76,7 @@ class FixFamily(Family):
         by = np.zeros((row.size, 3))
         by[np.arange(row.size), axis[own]] = entry.basis[own] / sigma
         none = np.empty(0, dtype=np.int64)
-        size = 3 * path.order
+        size = path.size
         return Evaluation(
             residual,
             interval,

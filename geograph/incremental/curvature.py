@@ -74,6 +74,8 @@ class Limits:
         path = np.array(chain.path[first:])
         at = np.array([piece.path for piece in pieces])
         gap = np.abs(np.stack([path[:-1], path[1:]], axis=1) - at) / scale
+        # What is unknown of the forces enters as good as linearly.
+        gap = gap[..., : 3 * self.path.size]
         blocks = np.sqrt(np.sum(gap.reshape(*gap.shape[:2], -1, 3) ** 2, axis=3))
         far = (blocks > self.path).any(axis=(1, 2))
         if self.chains.size:
@@ -117,8 +119,9 @@ def limits(model: Model, chain: Chain, total_rows: int) -> Limits:
         # Beyond the linear part is half of the second difference; it grows with the square.
         return step * float(np.sqrt(2.0 * allowed / max(float(second), 1e-300)))
 
-    blocks = np.full(m // 3, np.inf)
-    for block in range(min(m // 3, 2)):
+    order = model.motion.order
+    blocks = np.full(order, np.inf)
+    for block in range(min(order, 2)):
         own = slice(3 * block, 3 * block + 3)
         step = max(float(np.linalg.norm(sigma[own])), _LEAST_STEP)
         for axis in range(3):

@@ -133,7 +133,7 @@ class Model:
     def layout(self) -> ColumnLayout:
         """Columns of the pieces' blocks."""
         states = self.prepared.states
-        return ColumnLayout(3 * self.motion.order, states.chains, states.size, chained=True)
+        return ColumnLayout(self.motion.size, states.chains, states.size, chained=True)
 
     @cached_property
     def refreshed(self) -> bool:
@@ -424,7 +424,17 @@ class Model:
         parts = []
         for first, end, motion in self._periods(chain.knots_s[low : high + 1]):
             own = slice(first, end + 1)
-            parts.append(_of_path(motion, reference[own], at[own], steps[first:end], scale))
+            starts = np.array(chain.knots_s[low + first : low + end])
+            parts.append(
+                _of_path(
+                    motion,
+                    reference[own],
+                    at[own],
+                    steps[first:end],
+                    scale=scale,
+                    starts_s=starts,
+                )
+            )
         inverse, root, noise = (
             parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
         )
@@ -446,10 +456,12 @@ def _of_path(
     reference: NDArray[np.float64],
     at: NDArray[np.float64],
     steps: NDArray[np.float64],
+    *,
     scale: NDArray[np.float64],
+    starts_s: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return inverse transitions, noise roots, and noises at a reference, of the path, scaled."""
-    found = motion.linear(reference if motion.constant else at, steps, scale)
+    found = motion.linear(reference if motion.constant else at, steps, scale, starts_s)
     if motion.constant:
         return found.inverse, found.noise_root, found.residual
     behind = (reference - at) / scale

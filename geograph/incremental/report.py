@@ -11,6 +11,7 @@ from geograph.eliminate import Factorisation
 from geograph.incremental.rows import FIXES, TABLES, numbered_table
 from geograph.incremental.start import problem_of, recording_of
 from geograph.measurements import Bearings
+from geograph.orbit_forces import force_estimates
 from geograph.prepare import without_refraction
 from geograph.report import make_track
 from geograph.smoother import Smoother
@@ -49,14 +50,18 @@ def newest(
     m, d = chain.size, chain.knot_size
     scale = model.path_scale
     path = covariance[:m, :m] * scale[:, None] * scale
+    known = 3 * model.motion.order
     variance = np.diagonal(covariance)
     constant = variance[d:]
     if model.shift is not None:
-        rate = model.shift.sigma_s * rates(model.motion, chain.path[-1][None])[0]
+        rate = (
+            model.shift.sigma_s
+            * rates(model.motion, chain.path[-1][None], np.array(chain.knots_s[-1:]))[0]
+        )
         path = path + np.outer(rate, rate)
         constant = constant + (model.shift.sigma_s * model.shift.by_shift) ** 2
     sigma, estimates = np.sqrt(constant).tolist(), chain.constants.tolist()
-    errors: dict[str, dict[str, SensorEstimate]] = {}
+    errors = force_estimates(model.motion, chain.path[-1], covariance, scale)
     for column, entry in enumerate(states.constants):
         if entry.sensor in model.active or entry.sensor == NO_SENSOR:
             name = RECORDING_NAME if entry.sensor == NO_SENSOR else names[entry.sensor]
@@ -73,7 +78,7 @@ def newest(
                 float(np.sqrt(variance[m + column])) * size,
                 size,
             )
-    return path, errors
+    return path[:known, :known], errors
 
 
 class HeldFactorisation(Factorisation):

@@ -133,7 +133,7 @@ def _predicted(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the estimate of the newest knot carried on to a later time."""
     step = np.array([time_s - chain.knots_s[-1]])
-    path = model.motion.carried(chain.path[-1][None], step)[0]
+    path = model.motion.carried(chain.path[-1][None], step, np.array(chain.knots_s[-1:]))[0]
     states = model.prepared.states
     if not states.platforms:
         return path, chain.chains[-1]

@@ -24,6 +24,7 @@ from geograph.incremental.review import check, look_over
 from geograph.incremental.rows import Emissions, count, join, keys, read
 from geograph.incremental.start import NotStartedError
 from geograph.incremental.state import State, row_names, without_duplicates
+from geograph.orbit_forces import forces_of
 from geograph.recording import Recording, SmoothSettings
 from geograph.threads import single_blas_thread
 
@@ -130,6 +131,7 @@ class IncrementalSmoother:
             terrain=terrain,
             settings=chosen,
         )
+        forces_of(template, chosen)  # refuses now what could not be used later
         self._state = State(template, chosen, lag, engine == "isam2")
         self._known: set[Any] = set()
         self._emissions = Emissions()
@@ -335,7 +337,7 @@ class IncrementalSmoother:
             status=Tracking.TRACKING,
             message=_message(len(waiting)),
             time_s=chain.knots_s[-1],
-            state=chain.path[-1],
+            state=chain.path[-1][: len(path)],
             covariance=path,
             sensor_errors=errors,
             knots=len(chain.knots_s),

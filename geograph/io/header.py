@@ -16,7 +16,7 @@ from geograph.io.header_terrain import TerrainEntry, file_name, read_terrain_ent
 from geograph.io.messages import shown
 from geograph.io.tables import MAX_COORDINATE_M, MAX_VALUE
 from geograph.io.trajectories import EPHEMERIS_SUFFIXES
-from geograph.recording import Frame, LossName, MotionName, SmoothSettings
+from geograph.recording import AccelerationAxes, Frame, LossName, MotionName, SmoothSettings
 from geograph.sensors import SensorErrors
 
 if TYPE_CHECKING:
@@ -404,6 +404,10 @@ def _settings(document: Document, value: object) -> SmoothSettings:
             values[key] = document.choice(where, entry, get_args(MotionName))
         elif key == "loss":
             values[key] = document.choice(where, entry, get_args(LossName))
+        elif key == "acceleration_axes":
+            values[key] = document.choice(where, entry, get_args(AccelerationAxes))
+        elif key in ("moon", "sun"):
+            values[key] = entry
         elif key == "max_iterations":
             if isinstance(entry, bool) or not isinstance(entry, int):
                 document.fail(where, f"is {shown(entry)}; expected a whole number above 0")

@@ -157,6 +157,8 @@ def _settings_lines(settings: SmoothSettings) -> list[str]:
             continue
         if isinstance(value, str):
             written = _text(value)
+        elif isinstance(value, bool):
+            written = str(value).lower()
         elif isinstance(value, tuple):
             written = _list(value)
         else:

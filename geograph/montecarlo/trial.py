@@ -232,8 +232,11 @@ def bound_track(track: Track, truth: Truth) -> Track:
     problem = track.problem.with_weights(track.problem.weights, Loss("none"))
     path = truth_path(truth, track.recording, static=problem.motion.static)
     state = path.state(track.time_s, track.order)
-    values = Values(state, track.values.walks, track.values.constants)
-    size, scale = problem.layout.path, problem.path_scale
+    size = state.shape[1]
+    # What is unknown of the forces is not in a truth table.
+    whole = np.concatenate([state, track.values.path[:, size:]], axis=1)
+    values = Values(whole, track.values.walks, track.values.constants)
+    scale = problem.path_scale[:size]
     try:
         found = posterior(problem, values)
         covariance = found.knots[:, :size, :size] * scale[:, None] * scale

@@ -65,7 +65,7 @@ def _covariance(
     by_constants: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return covariances of position, offset included, shape (k, 3, 3)."""
-    marginals, first = track.marginals, track.state.shape[1] + own.start
+    marginals, first = track.marginals, track.problem.layout.path + own.start
     rows = slice(first, first + 3)
     covariance = marginals.knots[:, rows, rows] * scale[:, None] * scale
     cross = marginals.knot_constants[:, rows] * scale[:, None] @ by_constants.T
