@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 # Median length of a vector of 0 to 3 standard normal components: the root of chi-square's median.
 _MEDIAN_LENGTH = np.sqrt([1.0, 0.454936, 1.386294, 2.365974])
+
+# Functions of which it does not pay to look for those that are not zero.
+_FEW = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,29 +194,58 @@ def weighted_lines(
     across = lines.across
     values = np.einsum("nkc,nc->nk", across, lines.sensor_m)
     rows = [Rows(basis, across[:, k], values[:, k], white[:, k]) for k in range(2)]
-    # Rows of the same functions add up before these are multiplied: six products in place of nine
-    # for each of them, and nothing three times as wide as the basis is written down.
-    moment, right = np.zeros((len(basis), 3, 3)), np.zeros((len(basis), 3))
+    # Rows of the same functions are added up before they meet these.
+    count = basis.shape[0]
+    square, pull = np.zeros((count, 3, 3)), np.zeros((count, 3))
     for part in (*rows, *extra):
-        weighted = part.direction * part.weight[:, None]
         # Relative to the anchor, so that large coordinates do not cost digits.
         value = (part.value - part.direction @ anchor) * part.weight
+        weighed = part.direction * part.weight[:, None]
         if part.functions is basis:
-            moment += weighted[:, :, None] * weighted[:, None, :]
-            right += weighted * value[:, None]
+            square += weighed[:, :, None] * weighed[:, None, :]
+            pull += weighed * value[:, None]
             continue
-        design = (part.functions[:, :, None] * weighted[:, None, :]).reshape(-1, size)
+        design = (part.functions[:, :, None] * weighed[:, None, :]).reshape(-1, size)
         information += design.T @ design
         target += design.T @ value
-    grid = information.reshape(-1, 3, basis.shape[1], 3)
-    for i in range(3):
-        for j in range(i + 1):
-            product = basis.T @ (basis * moment[:, i, j, None])
-            grid[:, i, :, j] += product
-            if j < i:
-                grid[:, j, :, i] += product
-    target += (basis.T @ right).ravel()
+    information += _products(basis, square).reshape(size, size)
+    target += (basis.T @ pull).ravel()
     information[np.diag_indices(size)] += 1e-12 * float(np.trace(information)) / size
     solution = np.linalg.solve(information, target).reshape(-1, 3)
     # A spline's basis adds up to one everywhere: a constant is the same in every coefficient.
     return np.asarray(solution + anchor)
+
+
+def _products(functions: NDArray[np.float64], square: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return sums of f_i f_j M over rows with functions f and matrices M, shape (b, 3, b, 3).
+
+    Few of a spline's functions are not zero at a time, and they are neighbours.
+
+    Parameters
+    ----------
+    functions
+        Shape (n, b).
+    square
+        Shape (n, 3, 3).
+    """
+    count = functions.shape[1]
+    if count <= _FEW:
+        weighed = functions[:, :, None] * square.reshape(-1, 1, 9)
+        product = functions.T @ weighed.reshape(len(functions), -1)
+        return np.asarray(product.reshape(count, count, 3, 3).transpose(0, 2, 1, 3))
+    found = functions != 0.0
+    first = np.argmax(found, axis=1)
+    width = int((count - np.argmax(found[:, ::-1], axis=1) - first).max(initial=1))
+    first = np.minimum(first, count - width)
+    total = np.zeros((count, 3, count, 3))
+    order = np.argsort(first, kind="stable")
+    edges = np.flatnonzero(np.diff(first[order], prepend=-1, append=count))
+    for low, high in pairwise(edges.tolist()):
+        rows = order[low:high]
+        begin = int(first[rows[0]])
+        part = slice(begin, begin + width)
+        own = functions[rows, part]
+        weighed = own[:, :, None] * square[rows].reshape(-1, 1, 9)
+        product = own.T @ weighed.reshape(rows.size, -1)
+        total[part, :, part] += product.reshape(width, width, 3, 3).transpose(0, 2, 1, 3)
+    return total
