@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _GRAINS = 500
 # Intervals beyond which the information that two share is not counted.
-_REACH = 500
+_REACH = 60
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,7 +75,8 @@ class SmoothSettings:
         unless ``process_noise`` is ``"auto"``.
     stages
         Pieces of time in which the noise differs, by the same multiple in all directions. None: it
-        does not. ``"auto"``: they are found, and with them how many there are (docs/models.md).
+        does not. ``"auto"``: they are found, and with them how many there are (docs/models.md); a
+        ``process_noise`` that is given is then where the search begins.
         Or pairs (from_s, times) in the order of time: from then on the noise is so many times
         ``process_noise``; before the first it is ``process_noise``.
     spacing_s

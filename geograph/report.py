@@ -116,8 +116,9 @@ def _resolved(smoother: Smoother) -> Any:
     motion, knots = smoother.problem.motion, smoother.problem.knots_s
     settings = smoother.settings
     changes: dict[str, Any] = {}
-    if settings.process_noise == "auto" and not motion.static:
-        changes["process_noise"] = motion.density.axes[0]
+    if "auto" in (settings.process_noise, settings.stages) and not motion.static:
+        axes = motion.density.axes
+        changes["process_noise"] = axes[0] if len(set(axes)) == 1 else axes
         changes["process_noise_along"] = motion.density.along
     stages = smoother.problem.stages
     if settings.stages == "auto":
