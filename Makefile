@@ -1,6 +1,7 @@
 # make demo   set up, smooth a real fireball, show a table, list the pictures
 # make test   set up, check style and types, run all tests
 # make bench  measure the speed beside other packages, ten minutes
+# make accuracy  every table and figure of docs/accuracy.md (ACCURACY="--quick": a fiftieth)
 # make docs   run what the documents show, build the site
 # make clean  remove what these made
 
@@ -19,7 +20,7 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
 .DEFAULT_GOAL := demo
-.PHONY: demo test check bench docs clean
+.PHONY: demo test check bench accuracy docs clean
 
 demo: $(VENV)/.demo
 	$(BIN)/geograph example winchcombe -o $(DEMO)/winchcombe
@@ -39,13 +40,16 @@ bench: $(VENV)/.bench
 	$(BIN)/python tests/benchmarks/incremental.py
 	$(BIN)/python tests/benchmarks/run.py
 
+accuracy: $(VENV)/.demo
+	$(BIN)/python -m geograph.scenarios.accuracy -o accuracy-output $(ACCURACY)
+
 docs: $(VENV)/.docs $(VENV)/.test
 	$(BIN)/python -m pytest -n $(JOBS) tests/test_docs.py
 	$(BIN)/mkdocs build --strict --config-file .mkdocs.yml
 
 clean:
 	rm -f geograph/kernels/*.so
-	rm -rf $(VENV) $(DEMO) bench-output build dist site htmlcov *.egg-info .coverage* .mypy_cache .ruff_cache \
+	rm -rf $(VENV) $(DEMO) accuracy-output bench-output build dist site htmlcov *.egg-info .coverage* .mypy_cache .ruff_cache \
 		.pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -98,7 +98,7 @@ DragSigma = Annotated[
     float | None,
     typer.Option(
         metavar="M2_KG",
-        help="Prior sigma of --drag, which is then estimated.",
+        help="Prior sigma of --drag-m2-kg, which is then estimated.",
         rich_help_panel=SETTINGS_PANEL,
     ),
 ]
