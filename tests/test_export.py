@@ -103,6 +103,11 @@ def test_what_an_ephemeris_cannot_hold(tmp_path):
     lost.covariance[3, 4, 4] = np.inf
     with pytest.raises(InputError, match=r"cannot hold the covariance at 0.615384615 s"):
         export.write_oem(lost, path)
+    lost = make_track(order=2)
+    lost.position_m[3, 1] = np.nan
+    for suffix in (".oem", ".kml", ".czml", ".geojson"):
+        with pytest.raises(InputError, match=r"cannot hold the path of .* at 0.615384615 s, which"):
+            export.write(lost, tmp_path / f"a{suffix}")
     with pytest.raises(InputError, match=r"with the name 'Météore'; expected plain"):
         export.write_oem(make_track(name="Météore"), path)
     for suffix in (".oem", ".kml", ".czml", ".geojson"):

@@ -119,7 +119,7 @@ class Placed:
 
 
 def placed(track: Track | Results, path: Path) -> Placed:
-    """Return results with their instants; InputError if they have no place on the Earth or in time.
+    """Return results with their instants; InputError if they have no place on the Earth.
 
     Parameters
     ----------
@@ -133,6 +133,15 @@ def placed(track: Track | Results, path: Path) -> Placed:
         raise InputError(
             f"cannot show {results.name!r}, which is in a local frame and has no place on the "
             "Earth; expected results in ecef; .parquet can hold it",
+            path=path,
+        )
+    bad = ~np.isfinite(results.position_m).all(axis=1)
+    if results.velocity_m_s is not None:
+        bad |= ~np.isfinite(results.velocity_m_s).all(axis=1)
+    if bad.any():
+        raise InputError(
+            f"cannot hold the path of {results.name!r} at {results.time_s[bad][0]:.9g} s, which is "
+            f"no finite place (status {results.status}); expected results of a run that converged",
             path=path,
         )
     epoch = epoch_of(results)
