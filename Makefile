@@ -20,20 +20,29 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
 .DEFAULT_GOAL := demo
-.PHONY: demo test check bench accuracy docs clean
+.PHONY: demo test check style types pytest bench accuracy docs clean
 
 demo: $(VENV)/.demo
 	$(BIN)/geograph example winchcombe -o $(DEMO)/winchcombe
 	$(BIN)/geograph smooth $(DEMO)/winchcombe -o $(DEMO)/results
 	@echo; echo "Pictures:"; ls $(DEMO)/results/*.png
 
-test: check
-	$(BIN)/python -m pytest -n $(JOBS) --cov --cov-report=term
+# Types are checked on a core that the tests leave idle while they are collected and at their end.
+# A file's tests stay in one process, which makes what they share once.
+test: style
+	@$(MAKE) --no-print-directory --jobs=2 types pytest
 
-check: $(VENV)/.test
+check: style types
+
+style: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(VENV)/.test
 	$(BIN)/mypy
+
+pytest: $(VENV)/.test
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder --cov --cov-report=term
 
 bench: $(VENV)/.bench
 	$(BIN)/python tests/benchmarks/scaling.py

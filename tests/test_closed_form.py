@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
@@ -318,7 +319,11 @@ cases = st.tuples(
 
 # Shrinking takes minutes here, and says little more than the case itself.
 @given(data=st.data(), case=cases)
-@settings(max_examples=300, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@settings(
+    max_examples=examples(80, 300),
+    deadline=None,
+    phases=[Phase.explicit, Phase.reuse, Phase.generate],
+)
 def test_whatever_the_geometry_there_is_an_answer(data, case):
     """Sensors in one place, on a line, in a plane; times that no place explains; sigmas apart."""
     dimension, sensors, scale, height, frame = case

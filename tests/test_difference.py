@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from differences import assert_derivative
+from effort import examples
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from made_rays import WORLDS, Pair
@@ -17,7 +18,7 @@ from geograph.factors.difference import (
     time_difference_gradient,
 )
 
-PROFILE = settings(max_examples=60, deadline=None, derandomize=True)
+PROFILE = settings(max_examples=examples(25, 60), deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 worlds = st.sampled_from(sorted(WORLDS))
 SENSOR, REFERENCE = np.array([0]), np.array([1])
