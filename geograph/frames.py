@@ -204,9 +204,8 @@ class SensorGeometry:
         for index, mover in self._movers.items():
             rows = np.flatnonzero(sensor == index)
             if rows.size:
-                position[rows] = mover.position_at(time_s[rows])
-                velocity[rows] = mover.velocity_at(time_s[rows])
-                acceleration[rows] = mover.acceleration_at(time_s[rows])
+                found = mover.motion_at(time_s[rows])
+                position[rows], velocity[rows], acceleration[rows] = found
         return SensorMotion(position, velocity, acceleration)
 
     def moves(self, sensor: NDArray[np.int64]) -> bool:

@@ -51,6 +51,12 @@ class StraightLine:
         """Return accelerations, shape (..., 3), m/s^2: zero."""
         return np.zeros((*np.shape(time_s), 3))
 
+    def motion_at(
+        self, time_s: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return positions, velocities and accelerations, each shape (n, 3)."""
+        return self.position_at(time_s), self.velocity_at(time_s), self.acceleration_at(time_s)
+
 
 @dataclass(frozen=True, eq=False)
 class Platform:

@@ -136,6 +136,25 @@ class Trajectory:
         """Return accelerations, shape (..., 3), m/s^2, at times in seconds."""
         return np.asarray(self._spline(np.asarray(time_s, dtype=np.float64), 2))
 
+    def motion_at(
+        self, time_s: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return positions, velocities and accelerations, each shape (n, 3), in one reading.
+
+        Parameters
+        ----------
+        time_s
+            Shape (n,), seconds.
+        """
+        edges, parts = self._spline.x, self._spline.c
+        piece = np.searchsorted(edges, time_s, side="right") - 1
+        piece = np.clip(piece, 0, edges.size - 2)
+        offset = (time_s - edges[piece])[:, None]
+        third, second, first, zeroth = parts[:, piece]
+        position = ((third * offset + second) * offset + first) * offset + zeroth
+        velocity = (3.0 * third * offset + 2.0 * second) * offset + first
+        return position, velocity, 6.0 * third * offset + 2.0 * second
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sensor:

@@ -87,3 +87,16 @@ def test_the_sky_needs_an_epoch_and_the_earth(frame, epoch, what):
     sensor = Sensor(name="S7", position_m=PLACE, axes="radec")
     with pytest.raises(InputError, match=rf"'S7' has axes radec and the recording has {what}; exp"):
         SensorGeometry([sensor], frame, epoch=epoch)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 9])
+def test_motion_is_read_from_the_spline_in_one_go(count):
+    rng = np.random.default_rng(count)
+    edges = np.sort(rng.uniform(0.0, 9.0, count))
+    path = Trajectory(time_s=edges, position_m=rng.normal(size=(count, 3)))
+    # At its points, between them, and beyond both ends.
+    time = np.concatenate([edges, np.linspace(edges[0] - 1.0, edges[-1] + 1.0, 20)])
+    read = path.motion_at(time)
+    exact = path.position_at(time), path.velocity_at(time), path.acceleration_at(time)
+    for found, expected in zip(read, exact, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())

@@ -94,6 +94,7 @@ class Symforce(Contestant):
 
     name = "symforce"
     about = "symforce's optimizer: a NumPy factor an interval, its own covariances"
+    too_slow = frozenset({"large", "huge"})
 
     @classmethod
     def missing(cls) -> str | None:
