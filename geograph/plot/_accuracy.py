@@ -188,6 +188,7 @@ def _angles(found: list[Rows], graph: list[Rows]) -> Figure:
             _logarithmic(ax.xaxis)
         ax.set_xlabel(title)
         ax.set_yticks(at, labels if ax is axes[0] else [""] * len(labels))
+        ax.set_ylim(-0.7, len(labels) - 0.3)
     axes[-1].legend()
     return figure
 
