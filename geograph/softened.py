@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from geograph.prepare import Prepared
     from geograph.problem import Problem
 
-NARROW = 5.0
+NARROW = 30.0
 """Errors below so many sigmas bend nothing."""
 
 # The first noise is wider than the errors by this.

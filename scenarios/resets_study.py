@@ -125,7 +125,7 @@ def _world(name: str, **changes: Any) -> AnglesWorld:
 
 
 def detection_table(name: str, seeds: range) -> str:
-    """Return how surely and how soon jumps of some sizes are found, one of each of 2 to 8 sensors.
+    """Return how surely and how soon jumps of some sizes are found, one of each of 4 sensors.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def detection_table(name: str, seeds: range) -> str:
         "| --- " * 7 + "|",
     ]
     for jump in JUMPS:
-        world = _world(name, calibrations=(1, 1))
+        world = _world(name, calibrations=(1, 1), sensors=(4, 4), bearings=(200, 200))
         world = replace(world, jump_rad=jump * world.sigma_rad)
         trials = (angles_trial(seed, world) for seed in seeds)
         found = [
