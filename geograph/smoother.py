@@ -26,6 +26,7 @@ from geograph.report import make_track
 from geograph.resets import Resets, find_resets, searched
 from geograph.rivals import Attempt, Rival, find_rivals
 from geograph.robust import anneal, thresholds
+from geograph.softened import NARROW, softened, width
 from geograph.solver import Solution, Status, solve
 from geograph.starts import choose_knots, first_fits, prior_width, start
 from geograph.threads import single_blas_thread
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
 _ROUNDS = 6
 _TRIAL_ITERATIONS = 40
+_PATIENCE = 100
 
 # Further first guesses are tried where the median square is above that of normal errors by this.
 _MISFIT = 2.0
@@ -49,6 +51,9 @@ _MISFIT = 2.0
 # Sigmas from its middle at which the weak prior of the first knot is felt: it is a hundred
 # distances wide, so that the first guess's distances were wrong.
 _FELT = 1.0
+
+# As many first guesses are tried another way where none led to a fit.
+_SOFTENED = 3
 
 # An estimate whose signals were emitted so many times the recording's length away has run off.
 _RUN_OFF = 1e6
@@ -142,13 +147,20 @@ class Smoother:
             problem, values = self.start(fit, trial if several or automatic else loss)
             if self.robust and problem.loss == loss and self._suspect(problem, values):
                 problem = problem.with_weights(problem.weights, trial)
-            self._attempt(fit, problem, values, _TRIAL_ITERATIONS if several else None)
+            # Where errors of angles are wide, another way is tried before this one's end.
+            wide = width(self.prepared, self.resolution) > NARROW
+            patience = min(_PATIENCE, settings.max_iterations) if wide else settings.max_iterations
+            self._attempt(fit, problem, values, _TRIAL_ITERATIONS if several else patience)
         best = self.attempts[0]
         for fit in further_fits(self.prepared, best, misfit=self._misfit(best)):
             self._attempt(fit, *self.start(fit, best.problem.loss), _TRIAL_ITERATIONS)
             several, best = True, self.attempts[0]
+        for fit in fits[:_SOFTENED]:
+            self._soften(fit, best)
+            best = self.attempts[0]
         self.problem, self.solution, self.resolution = best.problem, best.solution, best.resolution
-        if self.solution.status is Status.ITERATION_LIMIT and several:
+        short = several or patience < settings.max_iterations
+        if self.solution.status is Status.ITERATION_LIMIT and short:
             self.change(self.problem)
         if automatic:
             tune_noise(self, 4.0)
@@ -184,6 +196,19 @@ class Smoother:
         solution = self._solve(problem, values, min(limit or most, most))
         self.attempts.append(Attempt(fit, problem, solution, self.resolution))
         self.attempts.sort(key=_likely if self.automatic else _rank)
+
+    def _soften(self, fit: PathFit, best: Attempt) -> None:
+        """Try a first guess once more, another way, where the best attempt does not fit."""
+        # Resets that are yet to be found do not fit either.
+        misfit = self._misfit(best) and not searched(self.prepared)
+        lost = best.solution.status is not Status.CONVERGED or misfit
+        if self.prepared.bearings is None or not lost:
+            return
+        problem, values = self.start(fit, best.problem.loss)
+        found = softened(problem, values, width(self.prepared, best.resolution))
+        if found is not None:
+            self.iterations += found[1]
+            self._attempt(fit, problem, found[0], None)
 
     def _misfit(self, attempt: Attempt) -> bool:
         """Tell whether most measurements are well beyond their sigmas from an attempt's path."""

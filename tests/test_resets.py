@@ -329,7 +329,10 @@ def test_study_prints_its_tables(monkeypatch):
     from geograph.scenarios import resets_study
 
     monkeypatch.setattr(resets_study, "JUMPS", (30.0,))
-    monkeypatch.setattr(resets_study, "_world", lambda _, **changes: replace(SMALL, **changes))
+    own = {"sensors": SMALL.sensors, "bearings": SMALL.bearings}
+    monkeypatch.setattr(
+        resets_study, "_world", lambda _, **changes: replace(SMALL, **(changes | own))
+    )
     assert "| 30 | 3 | 100.0 |" in detection_table("levy-simple", range(1))
     assert false_alarm_row("levy-simple", range(1)) == "| levy-simple | 1 | 0 | 300.00 |"
     table = accuracy_table("levy-simple", range(1), calibrations=(1, 1)).splitlines()
