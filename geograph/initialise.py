@@ -45,6 +45,14 @@ _RANGE_TOLERANCE = 1e-3
 # The flexibility of the most flexible spline needs no more bearings than this.
 _MOST_BEARINGS = 6000
 
+# Sigmas that residuals have where a fit is none, and where it is one. A path that goes round and
+# round is no better met by a few more coefficients, and all at once by enough of them.
+_NO_FIT, _FITS = 10.0, 2.0
+
+# Segments of a spline where nothing fits with fewer. With more of them, some would hang on two or
+# three bearings.
+_LONG_SEGMENTS = 1024
+
 # Where nothing fixes the range, the object is put this far away: a meteor's distance in the sky, or
 # a multiple of the array in a local frame. The result is then reported as unobservable.
 _NOMINAL_RANGE_M = 100e3
@@ -118,7 +126,7 @@ class FirstGuess:
     static
         Whether the object stands still.
     most_segments
-        Of the most flexible spline.
+        Of the most flexible spline, unless nothing fits.
     """
 
     bearings: Bearings
@@ -238,15 +246,17 @@ class FirstGuess:
             Indices of the bearings to fit; None: all, or evenly spread ones of very many.
         """
         lines = self.lines(clock_s, self._thinned() if rows is None else rows)
-        candidates = []
+        candidates: list[Attempt] = []
         worse = 0
         for degree, segments in self._flexibilities(lines):
-            attempt = self.fit(lines, degree, segments)
-            candidates.append(attempt)
+            scale = min((entry.scale for entry in candidates), default=np.inf)
+            if worse >= 3 and scale < _NO_FIT:
+                break
+            if segments > self.most_segments and scale < _FITS:
+                break
+            candidates.append(self.fit(lines, degree, segments))
             scores = criteria(candidates)
             worse = 0 if np.argmin(scores) == len(scores) - 1 else worse + 1
-            if worse >= 3:
-                break
         scores = criteria(candidates)
         best = int(np.argmin(scores))
         chosen = candidates[best]
@@ -270,7 +280,8 @@ class FirstGuess:
         most = max(1, min(distinct, rows // 3))
         options = [(degree, 1) for degree in range(6)]
         segments = 4
-        while segments <= self.most_segments:
+        alone = self.heights is None and not len(self.coordinates)
+        while segments <= (_LONG_SEGMENTS if alone else self.most_segments):
             options.append((3, segments))
             segments *= 2
         return [option for option in options if option[0] + option[1] <= most] or [(0, 1)]

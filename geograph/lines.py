@@ -25,6 +25,12 @@ _MEDIAN_LENGTH = np.sqrt([1.0, 0.454936, 1.386294, 2.365974])
 # Functions of which it does not pay to look for those that are not zero.
 _FEW = 8
 
+# Functions from which on the equations are solved as a band.
+_MANY = 64
+
+# What pulls towards the anchor, over the mean weight of the data.
+_RIDGE = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class Lines:
@@ -189,7 +195,6 @@ def weighted_lines(
     leave open.
     """
     size = 3 * basis.shape[1]
-    information = np.zeros((size, size))
     target = np.zeros(size)
     across = lines.across
     values = np.einsum("nkc,nc->nk", across, lines.sensor_m)
@@ -197,6 +202,7 @@ def weighted_lines(
     # Rows of the same functions are added up before they meet these.
     count = basis.shape[0]
     square, pull = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    designs = []
     for part in (*rows, *extra):
         # Relative to the anchor, so that large coordinates do not cost digits.
         value = (part.value - part.direction @ anchor) * part.weight
@@ -205,15 +211,54 @@ def weighted_lines(
             square += weighed[:, :, None] * weighed[:, None, :]
             pull += weighed * value[:, None]
             continue
-        design = (part.functions[:, :, None] * weighed[:, None, :]).reshape(-1, size)
-        information += design.T @ design
-        target += design.T @ value
-    information += _products(basis, square).reshape(size, size)
+        designs.append((part.functions[:, :, None] * weighed[:, None, :]).reshape(-1, size))
+        target += designs[-1].T @ value
     target += (basis.T @ pull).ravel()
-    information[np.diag_indices(size)] += 1e-12 * float(np.trace(information)) / size
-    solution = np.linalg.solve(information, target).reshape(-1, 3)
+    banded = basis.shape[1] > _MANY and not designs
+    solution = _solved_in_band(basis, square, target) if banded else None
+    if solution is None:
+        information = _products(basis, square).reshape(size, size)
+        for design in designs:
+            information += design.T @ design
+        information[np.diag_indices(size)] += _RIDGE * float(np.trace(information)) / size
+        solution = np.asarray(np.linalg.solve(information, target))
     # A spline's basis adds up to one everywhere: a constant is the same in every coefficient.
-    return np.asarray(solution + anchor)
+    return np.asarray(solution.reshape(-1, 3) + anchor)
+
+
+def _neighbours(functions: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
+    """Return the first function that is not zero in each row, (n,), and how many follow at most."""
+    count = functions.shape[1]
+    found = functions != 0.0
+    first = np.argmax(found, axis=1)
+    width = int((count - np.argmax(found[:, ::-1], axis=1) - first).max(initial=1))
+    return np.minimum(first, count - width), width
+
+
+def _solved_in_band(
+    functions: NDArray[np.float64], square: NDArray[np.float64], target: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Return the solution of what :func:`_products` gives, of which only a band is not zero.
+
+    None if rounding leaves it without a Cholesky factor.
+    """
+    from scipy.linalg import solveh_banded
+
+    size = target.size
+    first, width = _neighbours(functions)
+    index = first[:, None] + np.arange(width)
+    own = np.take_along_axis(functions, index, axis=1)
+    column = (3 * index[:, :, None] + np.arange(3)).reshape(len(own), -1)
+    value = np.einsum("na,nb,nij->naibj", own, own, square).reshape(*column.shape, -1)
+    below = column[:, :, None] - column[:, None, :]
+    kept = below >= 0
+    place = below * size + column[:, None, :]
+    band = np.bincount(place[kept], value[kept], minlength=3 * width * size).reshape(-1, size)
+    band[0] += _RIDGE * float(band[0].sum()) / size
+    try:
+        return np.asarray(solveh_banded(band, target, lower=True))
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _products(functions: NDArray[np.float64], square: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -233,10 +278,7 @@ def _products(functions: NDArray[np.float64], square: NDArray[np.float64]) -> ND
         weighed = functions[:, :, None] * square.reshape(-1, 1, 9)
         product = functions.T @ weighed.reshape(len(functions), -1)
         return np.asarray(product.reshape(count, count, 3, 3).transpose(0, 2, 1, 3))
-    found = functions != 0.0
-    first = np.argmax(found, axis=1)
-    width = int((count - np.argmax(found[:, ::-1], axis=1) - first).max(initial=1))
-    first = np.minimum(first, count - width)
+    first, width = _neighbours(functions)
     total = np.zeros((count, 3, count, 3))
     order = np.argsort(first, kind="stable")
     edges = np.flatnonzero(np.diff(first[order], prepend=-1, append=count))

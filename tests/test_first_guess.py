@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
 import geograph as gg
+from geograph import lines as module
 from geograph.compare import compare
 from geograph.initialise import FirstGuess
-from geograph.lines import angle, robust_scale
+from geograph.lines import Lines, Rows, angle, robust_scale, weighted_lines
 from geograph.prepare import prepare
 from geograph.scenarios.ground import GroundPass, ground_world
 from geograph.scenarios.radio_mixed import mixed
@@ -70,3 +72,68 @@ def test_scale_of_measurements_half_met():
     outliers[:300] *= 1e4
     assert robust_scale(outliers) < 2.0
     assert robust_scale(np.zeros((3, 2))) == 0.0
+
+
+@pytest.mark.parametrize("turns", [2, 60])
+def test_round_and_round(turns):
+    """A few more coefficients do not meet a circle gone round sixty times any better; enough do."""
+    rng = np.random.default_rng(turns)
+    count = 50 * turns
+    time = np.sort(rng.uniform(0.0, 300.0 * turns, count))
+    place = 4e3 * np.array([[1.0, 0.0, 0.0], [-0.5, 0.8, 0.0], [-0.5, -0.8, 0.0]])
+    sensor = rng.integers(0, 3, count)
+    phase = time / 300.0 * 2.0 * np.pi
+    at = np.stack([2e3 * np.cos(phase), 2e3 * np.sin(phase), np.full(count, 1e3)], axis=1)
+    sight = at - place[sensor]
+    sigma = np.full(count, 1e-3)
+    noise = 1e-3 * rng.normal(size=(2, count))
+    level = np.hypot(sight[:, 0], sight[:, 1])
+    recording = gg.Recording(
+        name="circles",
+        frame="local",
+        sensors={
+            f"S{k}": gg.Sensor(name=f"S{k}", position_m=p, axes="xyz") for k, p in enumerate(place)
+        },
+        bearings=gg.Bearings(
+            time_s=time,
+            sensor=sensor,
+            azimuth_rad=np.arctan2(sight[:, 1], sight[:, 0]) + noise[0],
+            elevation_rad=np.arctan2(sight[:, 2], level) + noise[1],
+            sigma_azimuth_rad=sigma,
+            sigma_elevation_rad=sigma,
+            isotropic=np.zeros(count, dtype=bool),
+            line=np.arange(count),
+        ),
+        propagation_speed_m_s=np.inf,
+        settings=gg.SmoothSettings(motion="constant-acceleration", process_noise=1.0),
+    )
+    _, miss = guess_and_miss(recording)
+    assert miss < 2.0
+
+
+def test_a_band_gives_the_same_spline(monkeypatch):
+    """Many functions are solved as a band: the same coefficients as from the whole matrix."""
+    rng = np.random.default_rng(4)
+    inner = np.linspace(0.0, 1.0, 100)
+    knots = np.concatenate([np.zeros(3), inner, np.ones(3)])
+    time = rng.uniform(0.0, 1.0, 600)
+    basis = BSpline.design_matrix(time, knots, 3).toarray()
+    direction = rng.normal(size=(600, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    lines = Lines(
+        time_s=time,
+        sensor=np.zeros(600, dtype=np.int64),
+        sensor_m=rng.normal(0.0, 1e3, (600, 3)),
+        axes=np.broadcast_to(np.eye(3), (600, 3, 3)),
+        direction=direction,
+        across=rng.normal(size=(600, 2, 3)),
+        sigma=np.full((600, 2), 1e-3),
+        azimuth_only=np.zeros(600, dtype=bool),
+    )
+    outward = Rows(basis, direction, rng.normal(0.0, 1e3, 600), np.full(600, 1e-4))
+    given = (basis, lines, rng.uniform(0.5, 2.0, (600, 2)), np.array([1e3, 2e3, 3e3]), outward)
+    band = weighted_lines(*given)
+    monkeypatch.setattr(module, "_MANY", 10**6)
+    whole = weighted_lines(*given)
+    np.testing.assert_allclose(band, whole, rtol=0.0, atol=1e-6 * np.abs(whole).max())
+    assert not np.array_equal(band, whole)
