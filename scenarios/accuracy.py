@@ -21,7 +21,9 @@ from geograph.scenarios import (
     angles_study,
     aoa_study,
     mixed_study,
+    noise_study,
     orbit_study,
+    resets_study,
     tdoa_graph,
     tdoa_study,
 )
@@ -148,6 +150,23 @@ STUDIES: dict[str, Study] = {
         runs=200,
         arguments=("--table", "choices", "--seed", "200000"),
         parallel=True,
+    ),
+    "noise": Study(
+        title="Process noise found",
+        main=noise_study.main,
+        runs=200,
+    ),
+    "resets-detection": Study(
+        title="Calibrations at unknown times",
+        main=resets_study.main,
+        runs=9,
+        arguments=("--table", "detection", "--worlds", "levy-simple", "--seed", "2000"),
+    ),
+    "resets-false-alarms": Study(
+        title="Calibrations where there are none",
+        main=resets_study.main,
+        runs=200,
+        arguments=("--table", "false-alarms", "--worlds", "levy-simple", "--seed", "1000"),
     ),
     "orbits": Study(
         title="Orbits from angles",
