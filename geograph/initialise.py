@@ -42,6 +42,9 @@ _STRONG_PULL = 1e-2
 RANGE_ROUNDS = 6
 _RANGE_TOLERANCE = 1e-3
 
+# Share of the span by which light times may change without moving a path that one looks at.
+_SAME_TIME = 1e-6
+
 # The flexibility of the most flexible spline needs no more bearings than this.
 _MOST_BEARINGS = 6000
 
@@ -127,6 +130,8 @@ class FirstGuess:
         Whether the object stands still.
     most_segments
         Of the most flexible spline, unless nothing fits.
+    patient
+        Whether more flexible ones are tried for as long as nothing fits.
     """
 
     bearings: Bearings
@@ -136,6 +141,7 @@ class FirstGuess:
     speed_m_s: float
     static: bool
     most_segments: int = 256
+    patient: bool = True
     heights: Heights | None = field(init=False)
     coordinates: Coordinates = field(init=False)
 
@@ -250,7 +256,7 @@ class FirstGuess:
         worse = 0
         for degree, segments in self._flexibilities(lines):
             scale = min((entry.scale for entry in candidates), default=np.inf)
-            if worse >= 3 and scale < _NO_FIT:
+            if worse >= 3 and (scale < _NO_FIT or not self.patient):
                 break
             if segments > self.most_segments and scale < _FITS:
                 break
@@ -301,8 +307,11 @@ class FirstGuess:
         anchor = self._anchor(lines)
         coefficients = np.zeros((count, 3))
         normalised = np.zeros((time.size, 2))
+        basis, taken = np.empty((0, 0)), np.full(time.size, np.inf)
         for iteration in range(rounds):
-            basis = BSpline.design_matrix(np.clip(time, low, high), knots, degree).toarray()
+            if not np.abs(time - taken).max(initial=0.0) <= _SAME_TIME * (high - low):
+                taken = time
+                basis = BSpline.design_matrix(np.clip(time, low, high), knots, degree).toarray()
             white = 1.0 / (lines.sigma * distance[:, None])
             coefficients = weighted_lines(
                 basis, lines, white * np.sqrt(weight)[:, None], anchor, self._outward(basis, lines)

@@ -59,6 +59,16 @@ class Lines:
     sigma: NDArray[np.float64]
     azimuth_only: NDArray[np.bool_]
 
+    @cached_property
+    def values(self) -> NDArray[np.float64]:
+        """Shape (n, 2): the sensors' places along ``across``."""
+        return np.asarray(np.einsum("nkc,nc->nk", self.across, self.sensor_m))
+
+    @cached_property
+    def products(self) -> NDArray[np.float64]:
+        """Shape (n, 2, 3, 3): outer products of ``across``."""
+        return np.asarray(self.across[..., :, None] * self.across[..., None, :])
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -196,15 +206,13 @@ def weighted_lines(
     """
     size = 3 * basis.shape[1]
     target = np.zeros(size)
-    across = lines.across
-    values = np.einsum("nkc,nc->nk", across, lines.sensor_m)
-    rows = [Rows(basis, across[:, k], values[:, k], white[:, k]) for k in range(2)]
-    # Rows of the same functions are added up before they meet these.
-    count = basis.shape[0]
-    square, pull = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    # Rows of the same functions are added up before they meet these; relative to the anchor, so
+    # that large coordinates do not cost digits.
+    weight = white**2
+    square = np.einsum("nk,nkij->nij", weight, lines.products)
+    pull = np.einsum("nk,nkc->nc", weight * (lines.values - lines.across @ anchor), lines.across)
     designs = []
-    for part in (*rows, *extra):
-        # Relative to the anchor, so that large coordinates do not cost digits.
+    for part in extra:
         value = (part.value - part.direction @ anchor) * part.weight
         weighed = part.direction * part.weight[:, None]
         if part.functions is basis:

@@ -62,6 +62,8 @@ class CountedGuess(FirstGuess):
     """
 
     effort: Effort = field(kw_only=True)
+    # Of many mistakes tried nearly all lead to no fit, and that soon.
+    patient: bool = False
 
     def fit(self, lines: Lines, degree: int, segments: int, rounds: int = RANGE_ROUNDS) -> Attempt:
         """Fit one spline, and count it."""
