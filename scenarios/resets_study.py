@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import betaincinv
 
 from geograph.consistency import nees
 from geograph.scenarios.angles_worlds import angles_trial, variant
@@ -163,8 +164,8 @@ def false_alarm_row(name: str, seeds: range) -> str:
         trial = angles_trial(seed, _world(name, calibrations=(0, 0)))
         track = smooth(trial.recording, raise_on_failure=False)
         shown += bool(track.summary["resets"])
-    # With none seen, 95 % of those who say less than 3 / n are right.
-    most = 3.0 / len(seeds) if not shown else (shown + 1.64 * np.sqrt(shown) + 1.0) / len(seeds)
+    # C. J. Clopper, E. S. Pearson, Biometrika 26, 1934.
+    most = 1.0 if shown == len(seeds) else betaincinv(shown + 1, len(seeds) - shown, 0.95)
     return f"| {name} | {len(seeds)} | {shown} | {100 * most:.2f} |"
 
 

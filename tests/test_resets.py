@@ -334,7 +334,7 @@ def test_study_prints_its_tables(monkeypatch):
         resets_study, "_world", lambda _, **changes: replace(SMALL, **(changes | own))
     )
     assert "| 30 | 3 | 100.0 |" in detection_table("levy-simple", range(1))
-    assert false_alarm_row("levy-simple", range(1)) == "| levy-simple | 1 | 0 | 300.00 |"
+    assert false_alarm_row("levy-simple", range(1)) == "| levy-simple | 1 | 0 | 95.00 |"
     table = accuracy_table("levy-simple", range(1), calibrations=(1, 1)).splitlines()
     assert [row.split("|")[1].strip() for row in table[2:]] == [
         *("times known", "found", "not handled")
