@@ -136,8 +136,10 @@ def connected(scheduler: str) -> Iterator[Any]:
         raise InputError(
             "--scheduler needs Dask; install it with pip install 'geograph[dask]'"
         ) from None
-    # What it says while a connection ends is said again by the errors that follow.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    # What it says while a connection ends is said again by the errors that follow; what a dead
+    # worker had is done again.
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

@@ -1,11 +1,20 @@
-"""The order of the tests: files that take long first, lest one core waits for the other's last."""
+"""What holds for all tests.
+
+Their order: files that take long first, lest one core waits for the other's last. And examples of
+properties are the same in every run.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hypothesis import settings
+
 if TYPE_CHECKING:
     import pytest
+
+settings.register_profile("seeded", derandomize=True, deadline=None)
+settings.load_profile("seeded")
 
 LONG = (
     "test_docs.py",
