@@ -144,7 +144,7 @@ def moved(smoother: Smoother, position_m: NDArray[np.float64]) -> tuple[Problem,
     values = replace(values, path=place)
     ideal = _with_ideal_bearings(smoother.prepared.recording, problem, values)
     if ideal is not None:
-        problem = problem._copy(families=prepare(ideal).families(problem.knots_s))
+        problem = problem.changed(families=prepare(ideal).families(problem.knots_s))
     problem.refresh(values)
     return problem, values
 

@@ -137,21 +137,22 @@ class Problem:
         self, weights: Sequence[NDArray[np.float64] | None], loss: Loss | None = None
     ) -> Problem:
         """Return the problem with other weights (and loss), sharing all else."""
-        return self._copy(weights=weights, loss=loss or self.loss)
+        return self.changed(weights=weights, loss=loss or self.loss)
 
     def with_motion(self, motion: Motion) -> Problem:
         """Return the problem with other process noise, sharing all else."""
-        return self._copy(motion=motion)
+        return self.changed(motion=motion)
 
     def with_stages(self, motion: Motion, stages: Stages | None) -> Problem:
         """Return the problem with other process noise and other stages, sharing all else."""
-        return self._copy(motion=motion, stages=stages)
+        return self.changed(motion=motion, stages=stages)
 
     def without_shift(self) -> Problem:
         """Return the problem with the clocks' common time left free, sharing all else."""
-        return self if self.shift is None else self._copy(shift=None)
+        return self if self.shift is None else self.changed(shift=None)
 
-    def _copy(self, **changes: object) -> Problem:
+    def changed(self, **changes: object) -> Problem:
+        """Return the problem with some of its arguments changed, sharing all else."""
         arguments: dict[str, object] = {
             "motion": self.motion,
             "knots_s": self.knots_s,

@@ -408,7 +408,7 @@ class Smoother:
             return
         reach = float(np.median(self.emissions()[0]))
         width = prior_width(reach, self.prepared.span_s, order)
-        self.problem = problem._copy(prior=prior.as_wide_as(width).centred(state, size))
+        self.problem = problem.changed(prior=prior.as_wide_as(width).centred(state, size))
 
     def _settle(self) -> None:
         """Solve until what a solve holds fixed agrees with its result."""

@@ -363,8 +363,10 @@ class BearingFamily(SensorFamily):
         received, size = self.bearings.time_s, entries.row.size
         if self._clocked:
             received = received - self.terms.constant_errors(constants, CLOCK)
-        # Of the recording's propagation, and the same for all of its measurements.
-        excess = self.terms.constant_errors(constants, SPEED)[:1] if self._fast else np.zeros(1)
+        faster = 0.0
+        if self._fast and count:
+            # Of the recording's propagation, and the same for all of its measurements.
+            faster = float(self.terms.constant_errors(constants, SPEED)[0])
         poses, walks = self._posed(received), self.terms.chains
         before, after = np.empty(walks.row.size), np.empty(walks.row.size)
         by_walks = np.empty((walks.row.size if jacobian else 0, 2))
@@ -378,7 +380,7 @@ class BearingFamily(SensorFamily):
             *(count, path.knots_s.size, order, size, constants.size),
             *(walks.row.size, values.walks.shape[1], _LIGHT_TIME_ROUNDS),
             *(int(self._clocked), int(self._fast), self.speed_m_s, self.spin_rad_s),
-            self._speed(float(excess.sum()))[1],
+            self._speed(faster)[1],
             *map(flat, (path.knots_s, state.basis, hermite_coefficients(order), received)),
             *map(flat, (poses.position_m, poses.axes, poses.velocity_m_s, poses.axes_rate)),
             *map(flat, (self.bearings.azimuth_rad, self.bearings.elevation_rad)),

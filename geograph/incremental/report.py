@@ -138,7 +138,7 @@ def held_track(state: State) -> Track:
         ]
         rejected.append(~kept)
         weights.append(None if kept.all() else kept.astype(np.float64))
-    problem = problem._copy(families=families, weights=weights)
+    problem = problem.changed(families=families, weights=weights)
     for family in problem.families:
         model.refresh(family, problem.path, values)
     smoother.problem = problem
