@@ -622,6 +622,20 @@ typedef struct {
 /* Index the entries of each row: those of row i are order[first[i]] to order[first[i + 1] - 1]. */
 static int by_row(Size n, Size e, const int64_t *row, Size *first, Size *order)
 {
+    int sorted = e == 0 || (row[0] >= 0 && row[e - 1] < n);
+    for (Size k = 1; k < e; k++)
+        sorted &= row[k - 1] <= row[k];
+    if (sorted) {
+        Size i = 0;
+        for (Size k = 0; k < e; k++) {
+            while (i <= row[k])
+                first[i++] = k;
+            order[k] = k;
+        }
+        while (i < n + 2)
+            first[i++] = e;
+        return 1;
+    }
     memset(first, 0, sizeof(Size) * (size_t)(n + 2));
     for (Size k = 0; k < e; k++) {
         if (row[k] < 0 || row[k] >= n)
@@ -655,9 +669,9 @@ INLINE void lay_out(const Blocks *all, Size i, Size q, double root, Size d, Size
 }
 
 /* Add the products of a measurement's residual and its derivatives by the constants. */
-INLINE void add_others(const Blocks *all, Size i, double root, double *others)
+INLINE void add_others(Size r, const Blocks *all, Size i, double root, double *others)
 {
-    Size r = all->r, last = all->constants, c = last + 1;
+    Size last = all->constants, c = last + 1;
     const double *residual = all->residual + i * r;
     double square = root * root;
     for (Size k = all->first[i]; k < all->first[i + 1]; k++) {
@@ -729,15 +743,19 @@ INLINE void add_rows_of(const Blocks *all, Size i, double root, Size d, Size kno
 
 /* Pairs of blocks, later times earlier, in the order of their moments; padded to whole registers. */
 #define MOST_PAIRS 24
+#define PADDED(size) (((size) + 3) & ~(Size)3)
 
 /* The same where the rows are weights of the blocks times a derivative by the position: six moments
    of each pair of blocks, of which the products are made once an interval. Columns are those of
-   one axis after another. */
-INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Size knots, Held *held,
-                           double *total)
+   one axis after another, each axis padded to whole registers. */
+INLINE void add_moments_of(Size size, Size r, const Blocks *all, Size i, double root, Size knots,
+                           Held *held, double *total)
 {
-    Size r = all->r, d = knots / 2, width = knots + all->constants + 1;
-    const double *w = all->weights + i * size, *by = all->by_path + i * r * 3;
+    Size d = knots / 2, width = knots + all->constants + 1, pitch = PADDED(size);
+    const double *by = all->by_path + i * r * 3;
+    double w[PADDED(2 * MOST_ORDER)] = {0.0};
+    for (Size b = 0; b < size; b++)
+        w[b] = all->weights[i * size + b];
     double square = root * root, moment[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
     for (Size q = 0; q < r; q++) {
         const double *j = by + 3 * q;
@@ -769,11 +787,11 @@ INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Si
             for (Size j = 0; j < 3; j++)
                 along[j] += by[3 * q + j] * other[q];
         held->touched[column] = 1;
-        double *restrict out = held->cross + column * knots;
+        double *restrict out = held->cross + column * 3 * pitch;
         for (Size j = 0; j < 3; j++) {
             double value = square * along[j];
-            for (Size b = 0; b < size; b++)
-                out[j * size + b] += value * w[b];
+            for (Size b = 0; b < pitch; b++)
+                out[j * pitch + b] += value * w[b];
         }
     }
     /* Walks have two columns each, at the knot before and at the one after. */
@@ -787,12 +805,12 @@ INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Si
         for (Size half = 0; half < 2; half++) {
             double share = square * (half ? all->after[entry] : all->before[entry]);
             Size column = all->constants + 1 + half * all->walks + walk;
-            double *restrict out = held->cross + column * knots;
+            double *restrict out = held->cross + column * 3 * pitch;
             held->touched[column] = 1;
             for (Size j = 0; j < 3; j++) {
                 double value = share * along[j];
-                for (Size b = 0; b < size; b++)
-                    out[j * size + b] += value * w[b];
+                for (Size b = 0; b < pitch; b++)
+                    out[j * pitch + b] += value * w[b];
             }
             double *row = total + (half * d + all->path + walk) * width;
             for (Size m = all->first_walk[i]; m < all->first_walk[i + 1]; m++) {
@@ -819,11 +837,11 @@ INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Si
 }
 
 /* Write what was held of an interval, and hold nothing. */
-INLINE void put(const Blocks *all, Size place, Size knots, Held *held)
+INLINE void put(Size order, const Blocks *all, Size place, Size knots, Held *held)
 {
-    Size width = knots + all->constants + 1, size = 2 * all->order;
+    Size width = knots + all->constants + 1, size = 2 * order, pitch = PADDED(size);
     double *total = all->knots + place * knots * width;
-    if (all->order) {
+    if (order) {
         for (Size j = 0; j < 3; j++)
             for (Size m = 0; m <= j; m++) {
                 double *own = held->own + (j * (j + 1) / 2 + m) * MOST_PAIRS;
@@ -848,45 +866,45 @@ INLINE void put(const Blocks *all, Size place, Size knots, Held *held)
         }
         memset(held->own, 0, sizeof(double) * (size_t)(knots * knots));
     }
-    Size others = all->constants + 1;
-    for (Size column = 0; column < others + (all->order ? 2 * all->walks : 0); column++) {
+    Size others = all->constants + 1, length = order ? 3 * pitch : knots;
+    for (Size column = 0; column < others + (order ? 2 * all->walks : 0); column++) {
         if (!held->touched[column])
             continue;
-        double *cross = held->cross + column * knots;
+        double *cross = held->cross + column * length;
         held->touched[column] = 0;
         Size walk = column - others, at = knots + column;
         if (column >= others)
             at = walk < all->walks ? all->path + walk : knots / 2 + all->path + walk - all->walks;
         for (Size k = 0; k < held->columns; k++) {
-            Size a = all->order ? held->column[k] : k;
-            double value = all->order ? held->scale[k] * cross[k] : cross[k];
+            Size a = order ? held->column[k] : k;
+            double value = order ? held->scale[k] * cross[k + k / size * (pitch - size)] : cross[k];
             total[a * width + at] += value;
             if (column >= others)
                 total[at * width + a] += value;
-            cross[k] = 0.0;
         }
+        memset(cross, 0, sizeof(double) * (size_t)length);
     }
 }
 
-INLINE int add_all_of(Size order, const Blocks *all, Held *held)
+INLINE int add_all_of(Size order, Size r, const Blocks *all, Held *held)
 {
     Size d = all->path + all->walks, knots = all->chained ? 2 * d : d;
     Size c = all->constants + 1, before = -1;
     for (Size i = 0; i < all->n; i++) {
         Size place = (Size)all->interval[i];
         if (place != before && before >= 0)
-            put(all, before, knots, held);
+            put(order, all, before, knots, held);
         before = place;
         double root = all->weight == NULL ? 1.0 : all->weight[i];
         if (order)
-            add_moments_of(2 * order, all, i, root, knots, held,
+            add_moments_of(2 * order, r, all, i, root, knots, held,
                            all->knots + place * knots * (knots + c));
         else
             add_rows_of(all, i, root, d, knots, held);
-        add_others(all, i, root, all->others + (all->held > 1 ? place * c * c : 0));
+        add_others(r, all, i, root, all->others + (all->held > 1 ? place * c * c : 0));
     }
     if (before >= 0)
-        put(all, before, knots, held);
+        put(order, all, before, knots, held);
     for (Size k = 0; k < all->held; k++)
         mirror(c, all->others + k * c * c);
     return 1;
@@ -895,9 +913,13 @@ INLINE int add_all_of(Size order, const Blocks *all, Held *held)
 WIDE static int add_all(const Blocks *all, Held *held)
 {
     if (all->order == 0)
-        return add_all_of(0, all, held);
-    /* Loops of known length are unrolled for the usual motion. */
-    return all->order == 3 ? add_all_of(3, all, held) : add_all_of(all->order, all, held);
+        return add_all_of(0, all->r, all, held);
+    /* Loops of known length are unrolled for the usual motions and rows. */
+    if (all->order == 3 && all->r == 2)
+        return add_all_of(3, 2, all, held);
+    if (all->order == 2 && all->r == 2)
+        return add_all_of(2, 2, all, held);
+    return add_all_of(all->order, all->r, all, held);
 }
 
 /* Make room for the sums of an interval; NULL without memory. */
@@ -906,12 +928,13 @@ static double *make_room(const Blocks *all, Size knots, Held *held)
     Size columns = all->constants + 1 + 2 * all->walks, size = 2 * all->order;
     Size d = all->path + all->walks;
     Size own = all->order ? 6 * MOST_PAIRS : knots * knots;
-    double *room = calloc((size_t)(own + columns * knots + 2 * knots + 1),  sizeof(double));
+    Size length = all->order ? 3 * PADDED(size) : knots;
+    double *room = calloc((size_t)(own + columns * length + 2 * knots + 1), sizeof(double));
     if (room == NULL)
         return NULL;
     held->own = room;
     held->cross = held->own + own;
-    held->row = held->cross + columns * knots;
+    held->row = held->cross + columns * length;
     held->columns = all->order ? 3 * size : knots;
     for (Size j = 0; j < 3; j++)
         for (Size b = 0; b < size; b++) {
@@ -1041,12 +1064,13 @@ INLINE double dot(const double *a, const double *b)
 
 static const double FACTORIAL[2 * MOST_ORDER] = {1.0, 1.0, 2.0, 6.0, 24.0, 120.0};
 
-/* factors/kinematics.py: interpolation_weights, of position and velocity. */
-INLINE void weights(Size order, const double *hermite, double step, double offset,
-                           double *position, double *velocity)
+/* factors/kinematics.py: interpolation_weights, of position and velocity; without the latter where
+   it is not asked for. */
+INLINE void weights(Size order, int moving, const double *hermite, double step, double offset,
+                    double *position, double *velocity)
 {
     Size size = 2 * order;
-    double s = offset / step;
+    double each = 1.0 / step, s = offset * each;
     if (s < 0.0 || s > 1.0) {
         Size first = s < 0.0 ? 0 : order;
         double since = s < 0.0 ? offset : offset - step, power = 1.0;
@@ -1071,10 +1095,11 @@ INLINE void weights(Size order, const double *hermite, double step, double offse
             double value = by[0], slope = 0.0;
             for (Size power = 1; power < size; power++) {
                 value += by[power] * powers[power];
-                slope += by[power] * (double)power * powers[power - 1];
+                if (moving)
+                    slope += by[power] * (double)power * powers[power - 1];
             }
             position[row] = value * unit;
-            velocity[row] = slope * unit / step;
+            velocity[row] = slope * unit * each;
         }
 }
 
@@ -1147,10 +1172,10 @@ INLINE Miss tangent_miss(const double *sight, double azimuth, double elevation,
     Miss found;
     double sin_a = sin(azimuth), cos_a = cos(azimuth);
     double sin_e = sin(elevation), cos_e = cos(elevation);
-    double distance = sqrt(dot(sight, sight));
-    double direction[3] = {sight[0] / distance, sight[1] / distance, sight[2] / distance};
-    double forward = (sight[0] * cos_a + sight[1] * sin_a) / distance, up = direction[2];
-    double s1 = (sight[1] * cos_a - sight[0] * sin_a) / distance;
+    double near = 1.0 / sqrt(dot(sight, sight));
+    double direction[3] = {sight[0] * near, sight[1] * near, sight[2] * near};
+    double forward = direction[0] * cos_a + direction[1] * sin_a, up = direction[2];
+    double s1 = direction[1] * cos_a - direction[0] * sin_a;
     double s2 = up * cos_e - forward * sin_e;
     double c = forward * cos_e + up * sin_e;
     double sine2 = s1 * s1 + s2 * s2;
@@ -1159,7 +1184,7 @@ INLINE Miss tangent_miss(const double *sight, double azimuth, double elevation,
         s2 = 0.0;
         sine2 = s1 * s1 + s2 * s2;
     }
-    double stretch = 1.0 + sine2 / 6.0 + 3.0 * sine2 * sine2 / 40.0;
+    double stretch = 1.0 + sine2 * (1.0 / 6.0 + sine2 * (3.0 / 40.0));
     double curvature = 1.0 / 3.0 + sine2 * (2.0 / 15.0);
     if (sine2 > 1e-6 || c < 0.0) {
         double sine = sqrt(sine2), theta = atan2(sine, c);
@@ -1180,11 +1205,10 @@ INLINE Miss tangent_miss(const double *sight, double azimuth, double elevation,
     /* dr = stretch ds + curvature s (c s.ds - sin^2 dc). */
     for (int axis = 0; axis < 3; axis++) {
         double by = direction[axis];
-        double ds1 = (e1[axis] - s1 * by) / distance, ds2 = (e2[axis] - s2 * by) / distance;
-        double dc = (u[axis] - c * by) / distance;
+        double ds1 = e1[axis] - s1 * by, ds2 = e2[axis] - s2 * by, dc = u[axis] - c * by;
         double both = curvature * (c * (s1 * ds1 + s2 * ds2) - sine2 * dc);
-        found.by_sight[0][axis] = stretch * ds1 + s1 * both;
-        found.by_sight[1][axis] = stretch * ds2 + s2 * both;
+        found.by_sight[0][axis] = (stretch * ds1 + s1 * both) * near;
+        found.by_sight[1][axis] = (stretch * ds2 + s2 * both) * near;
     }
     double turned[2][3] = {{sin_e * s2 - cos_e * c, -sin_e * s1, cos_e * s1}, {0.0, -c, s2}};
     for (int error = 0; error < 2; error++) {
@@ -1280,7 +1304,8 @@ INLINE void derive(const Bearings *all, Size i, const double *errors, const Sigh
     }
 }
 
-INLINE void bearings_of(Size order, const Bearings *all)
+/* "moving": velocities matter, for signals take their time or clocks are off. */
+INLINE void bearings_of(Size order, int moving, const Bearings *all)
 {
     Size size = 2 * order, guess = 0;
     for (Size i = 0; i < all->n; i++) {
@@ -1300,17 +1325,18 @@ INLINE void bearings_of(Size order, const Bearings *all)
             emitted = all->received_s[i] - light_time;
             guess = find(all->knots_s, all->knots, emitted, guess);
             double before = all->knots_s[guess];
-            weights(order, all->hermite, all->knots_s[guess + 1] - before, emitted - before, place,
-                    rates);
+            weights(order, moving, all->hermite, all->knots_s[guess + 1] - before,
+                    emitted - before, place, rates);
             const double *basis = all->basis + guess * size * 3;
             double at[3] = {0.0, 0.0, 0.0}, velocity[3] = {0.0, 0.0, 0.0};
             for (Size b = 0; b < size; b++)
                 for (int j = 0; j < 3; j++) {
                     at[j] += place[b] * basis[3 * b + j];
-                    velocity[j] += rates[b] * basis[3 * b + j];
+                    if (moving)
+                        velocity[j] += rates[b] * basis[3 * b + j];
                 }
             seen = look(at, velocity, sensor, light_time, all->spin_rad_s);
-            if (isinf(all->speed_m_s))
+            if (!moving || isinf(all->speed_m_s))
                 break;
             double closing = dot(seen.line, seen.inertial) / seen.distance;
             double correction = (seen.distance - speed * light_time) / (speed + closing);
@@ -1371,7 +1397,14 @@ INLINE void bearings_of(Size order, const Bearings *all)
 
 WIDE static void bearings_all(const Bearings *all)
 {
-    bearings_of(all->order, all);
+    int moving = isfinite(all->speed_m_s) || all->clocked;
+    /* Loops of known length are unrolled for the usual motions. */
+    if (all->order == 3)
+        moving ? bearings_of(3, 1, all) : bearings_of(3, 0, all);
+    else if (all->order == 2)
+        moving ? bearings_of(2, 1, all) : bearings_of(2, 0, all);
+    else
+        bearings_of(all->order, 1, all);
 }
 
 static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given)
