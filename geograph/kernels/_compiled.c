@@ -218,63 +218,145 @@ INLINE void add_product(Size m, Size k, Size n, double sign, const double *a, Si
         add_rows(k, n, sign, a + i * lda, 1, b, ldb, out + i * ldo);
 }
 
-/* out (m x n) += sign A' B, A (k x m). */
-INLINE void add_transposed(Size m, Size k, Size n, double sign, const double *a, Size lda,
-                                  const double *b, Size ldb, double *out, Size ldo)
-{
-    for (Size i = 0; i < m; i++)
-        add_rows(k, n, sign, a + i, lda, b, ldb, out + i * ldo);
-}
+/* Four numbers at once, from any address; where the compiler has no such type, one by one. */
+#if defined(__GNUC__) || defined(__clang__)
+typedef double Four __attribute__((vector_size(32), aligned(8), may_alias));
+#define FOUR(address) (*(const Four *)(address))
+#define PUT_FOUR(address, value) (*(Four *)(address) = (value))
+#endif
+#define PADDED(size) (((size) + 3) & ~(Size)3)
 
-/* Replace a symmetric matrix by the inverse of its lower Cholesky factor; 0 if it has none. */
-INLINE int inverse_root(Size d, double *matrix, double *inverse)
+/* Four rows of A'B from "total", or added to it: total += sign A'B with d rows of A and B, which are
+   p and q apart; "width" columns of B, four or eight. */
+INLINE void add_block(Size d, Size width, double sign, const double *one, Size p, const double *two,
+                      Size q, double *total, Size t)
 {
-    for (Size j = 0; j < d; j++) {
-        double pivot = matrix[j * d + j];
-        for (Size k = 0; k < j; k++)
-            pivot -= matrix[j * d + k] * matrix[j * d + k];
-        if (!(pivot > 0.0))
-            return 0;
-        double root = sqrt(pivot);
-        matrix[j * d + j] = root;
-        for (Size i = j + 1; i < d; i++) {
-            double value = matrix[i * d + j];
-            for (Size k = 0; k < j; k++)
-                value -= matrix[i * d + k] * matrix[j * d + k];
-            matrix[i * d + j] = value / root;
+#ifdef FOUR
+    Size parts = width / 4;
+    Four sum[4][2];
+    for (Size a = 0; a < 4; a++)
+        for (Size b = 0; b < parts; b++)
+            sum[a][b] = FOUR(total + a * t + 4 * b);
+    for (Size k = 0; k < d; k++) {
+        Four by[2];
+        for (Size b = 0; b < parts; b++)
+            by[b] = FOUR(two + k * q + 4 * b);
+        for (Size a = 0; a < 4; a++) {
+            double each = sign * one[k * p + a];
+            for (Size b = 0; b < parts; b++)
+                sum[a][b] += each * by[b];
         }
     }
-    memset(inverse, 0, sizeof(double) * (size_t)(d * d));
-    for (Size j = 0; j < d; j++) {
-        inverse[j * d + j] = 1.0 / matrix[j * d + j];
-        for (Size i = j + 1; i < d; i++) {
-            double value = 0.0;
-            for (Size k = j; k < i; k++)
-                value -= matrix[i * d + k] * inverse[k * d + j];
-            inverse[i * d + j] = value / matrix[i * d + i];
+    for (Size a = 0; a < 4; a++)
+        for (Size b = 0; b < parts; b++)
+            PUT_FOUR(total + a * t + 4 * b, sum[a][b]);
+#else
+    for (Size a = 0; a < 4; a++)
+        for (Size b = 0; b < width; b++) {
+            double sum = 0.0;
+            for (Size k = 0; k < d; k++)
+                sum += one[k * p + a] * two[k * q + b];
+            total[a * t + b] += sign * sum;
         }
+#endif
+}
+
+/* total -= R'R in the upper triangle (and a little below it), R (d x p), p a multiple of four. */
+INLINE void take_square(Size d, Size p, const double *rows, double *total)
+{
+    for (Size i = 0; i < p; i += 4) {
+        Size j = i;
+        for (; j + 8 <= p; j += 8)
+            add_block(d, 8, -1.0, rows + i, p, rows + j, p, total + i * p + j, p);
+        if (j < p)
+            add_block(d, 4, -1.0, rows + i, p, rows + j, p, total + i * p + j, p);
+    }
+}
+
+/* row += by other, n a multiple of four. */
+INLINE void add_row(Size n, double by, const double *other, double *row)
+{
+#ifdef FOUR
+    for (Size c = 0; c < n; c += 4)
+        PUT_FOUR(row + c, FOUR(row + c) + by * FOUR(other + c));
+#else
+    for (Size c = 0; c < n; c++)
+        row[c] += by * other[c];
+#endif
+}
+
+/* The inverse of the lower Cholesky factor of a symmetric matrix, of which the upper triangle is
+   read and overwritten; rows are p apart, p a multiple of four, zero beyond d. 0 if it has none. */
+INLINE int inverse_root(Size d, Size p, double *matrix, double *inverse)
+{
+    memset(inverse, 0, sizeof(double) * (size_t)(d * p));
+    for (Size j = 0; j < d; j++) {
+        double pivot = matrix[j * p + j];
+        if (!(pivot > 0.0))
+            return 0;
+        double each = 1.0 / sqrt(pivot), *row = matrix + j * p, *own = inverse + j * p;
+        Size from = j & ~(Size)3;
+        for (Size c = from; c < p; c++)
+            row[c] *= each;
+        for (Size i = j + 1; i < d; i++) {
+            Size begin = i & ~(Size)3;
+            add_row(p - begin, -row[i], row + begin, matrix + i * p + begin);
+        }
+        /* Of the rows before, as row j of L X = I has it. */
+        own[j] = 1.0;
+        for (Size k = 0; k < j; k++)
+            add_row(PADDED(k + 1), -matrix[k * p + j], inverse + k * p, own);
+        for (Size c = 0; c < PADDED(j + 1); c++)
+            own[c] *= each;
     }
     return 1;
 }
 
 /* ---------------------------------------------------------------------------------- sweep */
 
+/* What is kept of each interval: back and spread; these and the noise's inverse root and gain; or the
+   inverse root and the rows of the noise, of which the others are made when they are asked for. */
+enum { TURNED = 0, ALL = 1, LATER = 2 };
+
 typedef struct {
     Size n, d, c; /* intervals; components of a knot; constants and the gradient */
-    int ends, noise;
+    int ends, kept;
     double damping;
     const double *knot, *blocks, *others, *inverse_transition, *noise_root, *noise_residual;
     double *knots, *shares, *back, *spread, *sums, *inverse_roots, *gain;
 } Sweep;
 
-/* share -= R' R in its lower triangle, R (d x c), rows of R w apart. Rows are filled up to whole
-   registers: the upper triangle is written anew. */
-INLINE void take_products(Size d, Size c, const double *rest, Size w, double *share)
+/* Rows of the work space: all are padded to whole registers, p = PADDED(d), q = PADDED(d + c). */
+typedef struct {
+    double *turn;     /* d x p: A L, x[k] = A x[k+1] - A L w */
+    double *turned;   /* d x p: its transpose times the knot's information */
+    double *given;    /* d x (p + q): -(information) A L, and what is said of x[k] over x[k+1], others */
+    double *noise;    /* d x (p + q): the same of the noise */
+    double *inverse;  /* d x p */
+    double *rest;     /* d x q */
+    double *gain;     /* d x q */
+    double *total;    /* q x q: rows of x[k+1], then of the constants and the gradient */
+    double *crossed;  /* d x p */
+} Room;
+
+static Size room_for(Size d, Size c)
 {
-    for (Size i = 0; i < c; i++) {
-        Size end = (i + 4) & ~(Size)3;
-        add_rows(d, end > c ? c : end, -1.0, rest + i, w, rest, w, share + i * c);
-    }
+    Size p = PADDED(d), q = PADDED(d + c);
+    return d * (5 * p + 2 * (p + q) + 2 * q) + (q + 4) * q;
+}
+
+static void lay_out_room(Size d, Size c, double *work, Room *room)
+{
+    Size p = PADDED(d), q = PADDED(d + c);
+    room->turn = work;
+    room->turned = room->turn + d * p;
+    room->crossed = room->turned + d * p;
+    room->inverse = room->crossed + d * p;
+    room->given = room->inverse + d * p;
+    room->noise = room->given + d * (p + q);
+    room->rest = room->noise + d * (p + q);
+    room->gain = room->rest + d * q;
+    room->total = room->gain + d * q;
 }
 
 static inline void mirror(Size size, double *matrix)
@@ -284,129 +366,208 @@ static inline void mirror(Size size, double *matrix)
             matrix[j * size + i] = matrix[i * size + j];
 }
 
-/* One interval: rows of knot k (d x w), "before", become those of knot k + 1, "after". */
-INLINE int sweep_step(const Sweep *all, Size k, const double *before, double *restrict after,
-                      double *share, double *work)
+/* b = A L, whose rows and A's are mostly zeros. */
+INLINE void turn_root(Size d, Size p, const double *a, const double *root, double *turn)
 {
-    Size d = all->d, c = all->c, w = d + c, full = 2 * d + c;
+    memset(turn, 0, sizeof(double) * (size_t)(d * p));
+    for (Size i = 0; i < d; i++)
+        for (Size j = 0; j < d; j++) {
+            double by = a[i * d + j];
+            if (by == 0.0)
+                continue;
+            for (Size m = 0; m < d; m++)
+                turn[i * p + m] += by * root[j * d + m];
+        }
+}
+
+/* gain = R^-T rest, back = A + b gain, spread = b R^-T. */
+INLINE void turn_back(Size d, Size c, const double *a, const double *turn, const double *inverse,
+                      const double *rest, double *gain, double *back, double *spread)
+{
+    Size p = PADDED(d), w = d + c, q = PADDED(w);
+    memset(gain, 0, sizeof(double) * (size_t)(d * q));
+    for (Size i = 0; i < d; i++)
+        for (Size m = 0; m <= i; m++)
+            add_row(q, inverse[i * p + m], rest + i * q, gain + m * q);
+    memset(spread, 0, sizeof(double) * (size_t)(d * d));
+    double row[64], *held = w <= 60 ? row : NULL;
+    for (Size i = 0; i < d; i++) {
+        double *to = back + i * w;
+        if (held != NULL) {
+            memset(held, 0, sizeof(double) * (size_t)q);
+            for (Size m = 0; m < d; m++)
+                if (turn[i * p + m] != 0.0)
+                    add_row(q, turn[i * p + m], gain + m * q, held);
+            memcpy(to, held, sizeof(double) * (size_t)w);
+        } else {
+            memset(to, 0, sizeof(double) * (size_t)w);
+            for (Size m = 0; m < d; m++)
+                if (turn[i * p + m] != 0.0)
+                    for (Size j = 0; j < w; j++)
+                        to[j] += turn[i * p + m] * gain[m * q + j];
+        }
+        for (Size j = 0; j < d; j++)
+            to[j] += a[i * d + j];
+        for (Size m = 0; m < d; m++) {
+            double by = turn[i * p + m];
+            if (by == 0.0)
+                continue;
+            /* Rows of the inverse are columns here. */
+            for (Size j = m; j < d; j++)
+                spread[i * d + j] += by * inverse[j * p + m];
+        }
+    }
+}
+
+/* One interval: rows of knot k (d x q), "knot", become those of knot k + 1 in the room's total. */
+INLINE int sweep_step(Size d, const Sweep *all, Size k, double *knot, const Room *room)
+{
+    Size c = all->c, w = d + c, full = 2 * d + c, p = PADDED(d), q = PADDED(w), g = p + q;
     const double *block = all->blocks + k * 2 * d * full;
     const double *a = all->inverse_transition + k * d * d;
-    const double *root = all->noise_root + k * d * d;
-    double *b = work, *pb = b + d * d, *square = pb + d * d, *noise = square + d * d;
-    double *rest = noise + d * w, *gain = rest + d * w;
-    double *inverse = gain + d * w, *p = inverse + d * d, *g = p + d * d;
-    memset(work, 0, sizeof(double) * (size_t)(3 * d * d + 3 * d * w));
-    /* b = A L: x[k] = A x[k+1] - b w. */
-    add_product(d, d, d, 1.0, a, d, root, d, b, d);
-    /* What is said of x[k]: p over x[k], and g = (p A + cross, what concerns the constants). */
+    double *turn = room->turn, *turned = room->turned, *crossed = room->crossed;
+    double *given = room->given, *noise = room->noise, *rest = room->rest, *total = room->total;
+    turn_root(d, p, a, all->noise_root + k * d * d, turn);
+    /* The information of x[k], in knot's first columns; transitions are taken as rows of "by", which
+       skips their zeros, and what comes of them is turned: (p b)' = b' p. */
     for (Size i = 0; i < d; i++) {
-        for (Size j = 0; j < d; j++) {
-            p[i * d + j] = before[i * w + j] + block[i * full + j];
-            g[i * w + j] = block[i * full + d + j];
+        for (Size j = 0; j < d; j++)
+            knot[i * q + j] += block[i * full + j];
+        knot[i * q + i] += all->damping;
+    }
+    memset(turned, 0, sizeof(double) * (size_t)(2 * d * p)); /* and crossed, behind it */
+    for (Size i = 0; i < d; i++)
+        for (Size m = 0; m < d; m++) {
+            double by = turn[i * p + m];
+            if (by != 0.0)
+                for (Size j = 0; j < d; j++)
+                    turned[m * p + j] += by * knot[i * q + j];
         }
-        p[i * d + i] += all->damping;
+    for (Size i = 0; i < d; i++)
+        for (Size j = 0; j < d; j++)
+            given[j * g + i] = turned[i * p + j];
+    memset(turned, 0, sizeof(double) * (size_t)(d * p));
+    for (Size i = 0; i < d; i++)
+        for (Size m = 0; m < d; m++) {
+            double by = a[i * d + m];
+            if (by == 0.0)
+                continue;
+            for (Size j = 0; j < d; j++)
+                turned[m * p + j] += by * knot[i * q + j];
+            for (Size j = 0; j < d; j++)
+                crossed[m * p + j] += by * block[i * full + d + j];
+        }
+    for (Size i = 0; i < d; i++) {
+        double *row = given + i * g + p;
+        for (Size j = 0; j < d; j++)
+            row[j] = turned[j * p + i] + block[i * full + d + j];
         for (Size j = d; j < w; j++)
-            g[i * w + j] = before[i * w + j] + block[i * full + d + j];
+            row[j] = knot[i * q + j] + block[i * full + d + j];
     }
-    /* Transitions are mostly zeros: they are taken as rows or columns of "by", which skips these. */
+    /* Of the noise: (I + b' p b), and -b' times the rest beside it; signs are turned at the end. */
+    memset(noise, 0, sizeof(double) * (size_t)(d * g));
     for (Size i = 0; i < d; i++)
-        for (Size j = 0; j < d; j++) {
-            double by = p[i * d + j];
-            for (Size m = 0; m < d; m++)
-                g[i * w + m] += by * a[j * d + m];
-        }
-    for (Size i = 0; i < d; i++)
-        for (Size j = 0; j < d; j++) {
-            double by = p[i * d + j];
-            for (Size m = 0; m < d; m++)
-                pb[i * d + m] += by * b[j * d + m];
-        }
-    /* Of the noise: (I + b' p b), and -b' g beside it. */
-    add_transposed(d, d, d, 1.0, b, d, pb, d, square, d);
-    add_transposed(d, d, w, -1.0, b, d, g, w, noise, w);
+        for (Size m = 0; m < d; m++)
+            if (turn[i * p + m] != 0.0)
+                add_row(g, turn[i * p + m], given + i * g, noise + m * g);
     for (Size i = 0; i < d; i++) {
-        square[i * d + i] += 1.0;
-        noise[i * w + w - 1] += all->noise_residual[k * d + i];
+        noise[i * g + i] += 1.0;
+        noise[i * g + p + w - 1] -= all->noise_residual[k * d + i];
     }
-    /* Of x[k+1]: A' g + cross' A + its own part. */
+    /* Of x[k+1]: A' times what is said of x[k], cross' A (turned, as it is) and its own part. */
+    for (Size i = 0; i < d; i++) {
+        double *row = total + i * q;
+        memcpy(row, block + (d + i) * full + d, sizeof(double) * (size_t)w);
+        for (Size j = w; j < q; j++)
+            row[j] = 0.0;
+        for (Size j = 0; j < d; j++)
+            row[j] += crossed[j * p + i];
+    }
     for (Size i = 0; i < d; i++)
-        memcpy(after + i * w, block + (d + i) * full + d, sizeof(double) * (size_t)w);
-    add_transposed(d, d, w, 1.0, a, d, g, w, after, w);
+        for (Size m = 0; m < d; m++)
+            if (a[i * d + m] != 0.0)
+                add_row(q, a[i * d + m], given + i * g + p, total + m * q);
     for (Size i = 0; i < d; i++)
-        for (Size j = 0; j < d; j++) {
-            double by = block[j * full + d + i];
-            for (Size m = 0; m < d; m++)
-                after[i * w + m] += by * a[j * d + m];
-        }
-    if (!inverse_root(d, square, inverse))
+        memcpy(turned + i * p, noise + i * g, sizeof(double) * (size_t)p);
+    if (!inverse_root(d, p, turned, room->inverse))
         return 0;
+    /* rest = -R^-1 (noise): rows of the inverse end at the diagonal. */
+    memset(rest, 0, sizeof(double) * (size_t)(d * q));
     for (Size i = 0; i < d; i++)
-        add_rows(i + 1, w, 1.0, inverse + i * d, 1, noise, w, rest + i * w);
-    for (Size i = 0; i < d; i++)
-        add_rows(d, w, -1.0, rest + i, w, rest, w, after + i * w);
-    /* Rounding that is not symmetric would grow over tens of thousands of knots. */
+        for (Size m = 0; m <= i; m++)
+            add_row(q, -room->inverse[i * p + m], noise + m * g + p, rest + i * q);
+    take_square(d, q, rest, total);
     for (Size i = 0; i < d; i++)
         for (Size j = 0; j < i; j++)
-            after[i * w + j] = after[j * w + i] = 0.5 * (after[i * w + j] + after[j * w + i]);
-    take_products(d, c, rest + d, w, share);
+            total[i * q + j] = total[j * q + i];
     double product = 1.0, sum = 0.0;
     for (Size i = 0; i < d; i++) {
-        product *= inverse[i * d + i];
-        sum += rest[i * w + w - 1] * rest[i * w + w - 1];
+        product *= room->inverse[i * p + i];
+        sum += rest[i * q + w - 1] * rest[i * q + w - 1];
     }
     if (product > 1e-250 && product < 1e250)
         all->sums[0] -= log(product);
     else
         for (Size i = 0; i < d; i++)
-            all->sums[0] -= log(inverse[i * d + i]);
+            all->sums[0] -= log(room->inverse[i * p + i]);
     all->sums[1] += sum;
-    for (Size i = 0; i < d; i++)
-        add_rows(d - i, w, 1.0, inverse + i * d + i, d, rest + i * w, w, gain + i * w);
-    if (all->noise) {
-        memcpy(all->inverse_roots + k * d * d, inverse, sizeof(double) * (size_t)(d * d));
-        memcpy(all->gain + k * d * w, gain, sizeof(double) * (size_t)(d * w));
+    return 1;
+}
+
+INLINE void keep_step(Size d, const Sweep *all, Size k, const Room *room)
+{
+    Size w = d + all->c, p = PADDED(d), q = PADDED(w);
+    const double *kept = room->rest;
+    if (all->kept != LATER) {
+        turn_back(d, all->c, all->inverse_transition + k * d * d, room->turn, room->inverse,
+                  room->rest, room->gain, all->back + k * d * w, all->spread + k * d * d);
+        kept = room->gain;
     }
-    double *back = all->back + k * d * w;
-    memset(back, 0, sizeof(double) * (size_t)(d * w));
+    if (all->kept == TURNED)
+        return;
+    for (Size i = 0; i < d; i++) {
+        memcpy(all->inverse_roots + (k * d + i) * d, room->inverse + i * p,
+               sizeof(double) * (size_t)d);
+        memcpy(all->gain + (k * d + i) * w, kept + i * q, sizeof(double) * (size_t)w);
+    }
+}
+
+INLINE int sweep_of(Size d, const Sweep *all, double *work)
+{
+    Size c = all->c, w = d + c, q = PADDED(w);
+    Room room;
+    lay_out_room(d, c, work, &room);
+    double *knot = room.total + q * q, *share = room.total + d * q + d;
+    memset(work, 0, sizeof(double) * (size_t)(room_for(d, c) + d * q));
     for (Size i = 0; i < d; i++)
-        memcpy(back + i * w, a + i * d, sizeof(double) * (size_t)d);
-    add_product(d, d, w, 1.0, b, d, gain, w, back, w);
-    double *spread = all->spread + k * d * d;
-    memset(spread, 0, sizeof(double) * (size_t)(d * d));
-    /* b inverse': rows of the inverse are columns here. */
-    for (Size i = 0; i < d; i++)
-        for (Size m = 0; m < d; m++) {
-            double by = b[i * d + m];
-            if (by == 0.0)
-                continue;
-            for (Size j = m; j < d; j++)
-                spread[i * d + j] += by * inverse[j * d + m];
-        }
+        memcpy(knot + i * q, all->knot + i * w, sizeof(double) * (size_t)w);
+    for (Size k = 0; k < all->n; k++) {
+        if (!all->ends || k == 0)
+            for (Size i = 0; i < c; i++)
+                memcpy(share + i * q, all->others + (k * c + i) * c, sizeof(double) * (size_t)c);
+        if (!sweep_step(d, all, k, knot, &room))
+            return 0;
+        keep_step(d, all, k, &room);
+        memcpy(knot, room.total, sizeof(double) * (size_t)(d * q));
+        if (all->ends && k + 1 < all->n)
+            continue;
+        double *rows = all->knots + (all->ends ? 0 : k) * d * w;
+        double *shared = all->shares + (all->ends ? 0 : k) * c * c;
+        for (Size i = 0; i < d; i++)
+            memcpy(rows + i * w, knot + i * q, sizeof(double) * (size_t)w);
+        for (Size i = 0; i < c; i++)
+            for (Size j = i; j < c; j++)
+                shared[i * c + j] = shared[j * c + i] = share[i * q + j];
+    }
     return 1;
 }
 
 WIDE static int sweep_all(const Sweep *all, double *work)
 {
-    Size d = all->d, c = all->c, w = d + c;
-    const double *knot = all->knot;
-    double *spare = work + 6 * d * d + 5 * d * w;
-    for (Size k = 0; k < all->n; k++) {
-        /* With the ends alone, rows alternate between two places, so that the last is the result. */
-        double *after = all->knots + k * d * w, *share = all->shares + k * c * c;
-        if (all->ends) {
-            after = (all->n - k) % 2 ? all->knots : spare;
-            share = all->shares;
-        } else
-            memcpy(share, all->others + k * c * c, sizeof(double) * (size_t)(c * c));
-        if (!sweep_step(all, k, knot, after, share, work))
-            return 0;
-        if (!all->ends)
-            mirror(c, share);
-        knot = after;
-    }
-    if (all->ends)
-        mirror(c, all->shares);
-    return 1;
+    /* Loops of known length are unrolled for the usual motions. */
+    if (all->d == 9)
+        return sweep_of(9, all, work);
+    return all->d == 6 ? sweep_of(6, all, work) : sweep_of(all->d, all, work);
 }
 
 static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
@@ -418,7 +579,7 @@ static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
     Size n = all.n = whole(&reader);
     Size d = all.d = whole(&reader), c = all.c = whole(&reader);
     all.ends = (int)whole(&reader);
-    all.noise = (int)whole(&reader);
+    all.kept = (int)whole(&reader);
     all.damping = number(&reader);
     Size w = d + c, full = w + d, held = all.ends ? 1 : n;
     all.knot = reals(&reader, d * w);
@@ -429,11 +590,11 @@ static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
     all.noise_residual = reals(&reader, n * d);
     all.knots = results(&reader, held * d * w);
     all.shares = results(&reader, held * c * c);
-    all.back = results(&reader, n * d * w);
-    all.spread = results(&reader, n * d * d);
+    all.back = results(&reader, all.kept == LATER ? 0 : n * d * w);
+    all.spread = results(&reader, all.kept == LATER ? 0 : n * d * d);
     all.sums = results(&reader, 2);
-    all.inverse_roots = results(&reader, all.noise ? n * d * d : 0);
-    all.gain = results(&reader, all.noise ? n * d * w : 0);
+    all.inverse_roots = results(&reader, all.kept == TURNED ? 0 : n * d * d);
+    all.gain = results(&reader, all.kept == TURNED ? 0 : n * d * w);
     int there = all.knot && all.blocks && all.others && all.inverse_transition && all.noise_root &&
                 all.noise_residual && all.knots && all.shares && all.back && all.spread && all.sums &&
                 all.inverse_roots && all.gain;
@@ -441,7 +602,7 @@ static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
         release(&reader);
         return NULL;
     }
-    double *work = malloc(sizeof(double) * (size_t)(6 * d * d + 6 * d * w + 1));
+    double *work = malloc(sizeof(double) * (size_t)(room_for(d, c) + d * PADDED(w) + 1));
     if (work == NULL) {
         release(&reader);
         return PyErr_NoMemory();
@@ -597,6 +758,145 @@ static PyObject *substitute(PyObject *self, PyObject *const *arguments, Size giv
     Py_RETURN_NONE;
 }
 
+/* x[k] = A (x[k+1] + L R^-T rest (x[k+1], constants, 1)): what back says, from what it is made of. */
+typedef struct {
+    Size n, d, c;
+    const double *inverse_transition, *noise_root, *inverse_roots, *rests, *constants;
+    double *knots, *back, *spread;
+} Later;
+
+INLINE double dot_of(Size n, const double *a, const double *b)
+{
+    double value = 0.0;
+    Size i = 0;
+#ifdef FOUR
+    Four sum = {0.0, 0.0, 0.0, 0.0};
+    for (; i + 4 <= n; i += 4)
+        sum += FOUR(a + i) * FOUR(b + i);
+    value = (sum[0] + sum[1]) + (sum[2] + sum[3]);
+#endif
+    for (; i < n; i++)
+        value += a[i] * b[i];
+    return value;
+}
+
+INLINE void substitute_of(Size d, const Later *all, double *work)
+{
+    Size c = all->c, w = d + c;
+    double *known = work, *turned = work + w;
+    memcpy(known + d, all->constants, sizeof(double) * (size_t)(c - 1));
+    known[w - 1] = 1.0;
+    for (Size k = all->n - 1; k >= 0; k--) {
+        const double *inverse = all->inverse_roots + k * d * d, *rest = all->rests + k * d * w;
+        const double *a = all->inverse_transition + k * d * d, *root = all->noise_root + k * d * d;
+        double *x = all->knots + k * d;
+        memcpy(known, x + d, sizeof(double) * (size_t)d);
+        memset(turned, 0, sizeof(double) * (size_t)d);
+        for (Size i = 0; i < d; i++) {
+            double value = dot_of(w, rest + i * w, known);
+            for (Size j = 0; j <= i; j++)
+                turned[j] += inverse[i * d + j] * value;
+        }
+        for (Size i = 0; i < d; i++)
+            known[i] += dot_of(d, root + i * d, turned);
+        for (Size i = 0; i < d; i++)
+            x[i] = dot_of(d, a + i * d, known);
+    }
+}
+
+WIDE static void substitute_later_all(const Later *all, double *work)
+{
+    if (all->d == 9)
+        substitute_of(9, all, work);
+    else
+        substitute_of(all->d, all, work);
+}
+
+WIDE static void turn_back_all(const Later *all, double *work)
+{
+    Size d = all->d, c = all->c, w = d + c, p = PADDED(d), q = PADDED(w);
+    double *turn = work, *inverse = turn + d * p, *rest = inverse + d * p, *gain = rest + d * q;
+    memset(work, 0, sizeof(double) * (size_t)(2 * d * (p + q)));
+    for (Size k = 0; k < all->n; k++) {
+        const double *a = all->inverse_transition + k * d * d;
+        turn_root(d, p, a, all->noise_root + k * d * d, turn);
+        for (Size i = 0; i < d; i++) {
+            memcpy(inverse + i * p, all->inverse_roots + (k * d + i) * d,
+                   sizeof(double) * (size_t)d);
+            memcpy(rest + i * q, all->rests + (k * d + i) * w, sizeof(double) * (size_t)w);
+        }
+        turn_back(d, c, a, turn, inverse, rest, gain, all->back + k * d * w,
+                  all->spread + k * d * d);
+    }
+}
+
+/* Arguments that both share, and room to work in; NULL with an error set. */
+static double *later(Reader *reader, Later *all)
+{
+    Size n = all->n = whole(reader), d = all->d = whole(reader), c = all->c = whole(reader);
+    Size w = d + c;
+    all->inverse_transition = reals(reader, n * d * d);
+    all->noise_root = reals(reader, n * d * d);
+    all->inverse_roots = reals(reader, n * d * d);
+    all->rests = reals(reader, n * d * w);
+    if (reader->failed)
+        return NULL;
+    double *work = malloc(sizeof(double) * (size_t)(2 * d * (PADDED(d) + PADDED(w)) + w + d + 1));
+    if (work == NULL) {
+        PyErr_NoMemory();
+        reader->failed = 1;
+    }
+    return work;
+}
+
+static PyObject *substitute_later(PyObject *self, PyObject *const *arguments, Size given)
+{
+    (void)self;
+    Reader reader;
+    Later all;
+    start(&reader, arguments, given);
+    double *work = later(&reader, &all);
+    all.constants = reals(&reader, all.c - 1);
+    all.knots = results(&reader, (all.n + 1) * all.d);
+    int there = all.inverse_transition && all.noise_root && all.inverse_roots && all.rests &&
+                all.constants && all.knots;
+    if (!complete(&reader, there)) {
+        free(work);
+        release(&reader);
+        return NULL;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    substitute_later_all(&all, work);
+    Py_END_ALLOW_THREADS
+    free(work);
+    release(&reader);
+    Py_RETURN_NONE;
+}
+
+static PyObject *turn_back_later(PyObject *self, PyObject *const *arguments, Size given)
+{
+    (void)self;
+    Reader reader;
+    Later all;
+    start(&reader, arguments, given);
+    double *work = later(&reader, &all);
+    all.back = results(&reader, all.n * all.d * (all.d + all.c));
+    all.spread = results(&reader, all.n * all.d * all.d);
+    int there = all.inverse_transition && all.noise_root && all.inverse_roots && all.rests &&
+                all.back && all.spread;
+    if (!complete(&reader, there)) {
+        free(work);
+        release(&reader);
+        return NULL;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    turn_back_all(&all, work);
+    Py_END_ALLOW_THREADS
+    free(work);
+    release(&reader);
+    Py_RETURN_NONE;
+}
+
 /* ---------------------------------------------------------------------------------- blocks */
 
 typedef struct {
@@ -743,7 +1043,6 @@ INLINE void add_rows_of(const Blocks *all, Size i, double root, Size d, Size kno
 
 /* Pairs of blocks, later times earlier, in the order of their moments; padded to whole registers. */
 #define MOST_PAIRS 24
-#define PADDED(size) (((size) + 3) & ~(Size)3)
 
 /* The same where the rows are weights of the blocks times a derivative by the position: six moments
    of each pair of blocks, of which the products are made once an interval. Columns are those of
@@ -1725,6 +2024,10 @@ static PyMethodDef methods[] = {
      "geograph.sweep.chain_marginals"},
     {"substitute", (PyCFunction)(void (*)(void))substitute, METH_FASTCALL,
      "The back substitution of geograph.eliminate.Factorisation.solve"},
+    {"substitute_later", (PyCFunction)(void (*)(void))substitute_later, METH_FASTCALL,
+     "geograph.sweep.Ends.substitute"},
+    {"turn_back", (PyCFunction)(void (*)(void))turn_back_later, METH_FASTCALL,
+     "geograph.sweep.Ends.turned_back"},
     {"add_blocks", (PyCFunction)(void (*)(void))add_blocks, METH_FASTCALL,
      "geograph.blocks.BlockSum.add"},
     {"bearings", (PyCFunction)(void (*)(void))bearings, METH_FASTCALL,
