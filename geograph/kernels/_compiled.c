@@ -912,11 +912,9 @@ typedef struct {
 /* What the measurements of one interval add up to before it is written to the result: products of
    the knots' columns, or moments of which these are made, and of these columns with the others'. */
 typedef struct {
-    Size columns;                     /* of the knots that the measurements touch */
-    Size column[2 * 3 * MOST_ORDER];  /* which these are, where they are not all */
-    double scale[2 * 3 * MOST_ORDER];
     double *own, *cross, *row;
     char *touched;
+    Size *from, *at; /* of the columns that were touched: their place in cross, and in the result */
 } Held;
 
 /* Index the entries of each row: those of row i are order[first[i]] to order[first[i + 1] - 1]. */
@@ -1070,12 +1068,8 @@ INLINE void add_moments_of(Size size, Size r, const Blocks *all, Size i, double 
     for (Size a = 0; a < size; a++)
         for (Size b = 0; b <= a; b++)
             pair[p++] = square * w[a] * w[b];
-    Size pairs = (p + 3) & ~(Size)3;
-    for (Size m = 0; m < 6; m++) {
-        double *restrict out = held->own + m * MOST_PAIRS;
-        for (Size b = 0; b < pairs; b++)
-            out[b] += moment[m] * pair[b];
-    }
+    for (Size m = 0; m < 6; m++)
+        add_row(PADDED(p), moment[m], pair, held->own + m * MOST_PAIRS);
     for (Size k = all->first[i]; k <= all->first[i + 1]; k++) {
         int residual = k == all->first[i + 1];
         const double *other = residual ? all->residual + i * r
@@ -1087,11 +1081,8 @@ INLINE void add_moments_of(Size size, Size r, const Blocks *all, Size i, double 
                 along[j] += by[3 * q + j] * other[q];
         held->touched[column] = 1;
         double *restrict out = held->cross + column * 3 * pitch;
-        for (Size j = 0; j < 3; j++) {
-            double value = square * along[j];
-            for (Size b = 0; b < pitch; b++)
-                out[j * pitch + b] += value * w[b];
-        }
+        for (Size j = 0; j < 3; j++)
+            add_row(pitch, square * along[j], w, out + j * pitch);
     }
     /* Walks have two columns each, at the knot before and at the one after. */
     for (Size k = all->first_walk[i]; k < all->first_walk[i + 1]; k++) {
@@ -1106,11 +1097,8 @@ INLINE void add_moments_of(Size size, Size r, const Blocks *all, Size i, double 
             Size column = all->constants + 1 + half * all->walks + walk;
             double *restrict out = held->cross + column * 3 * pitch;
             held->touched[column] = 1;
-            for (Size j = 0; j < 3; j++) {
-                double value = share * along[j];
-                for (Size b = 0; b < pitch; b++)
-                    out[j * pitch + b] += value * w[b];
-            }
+            for (Size j = 0; j < 3; j++)
+                add_row(pitch, share * along[j], w, out + j * pitch);
             double *row = total + (half * d + all->path + walk) * width;
             for (Size m = all->first_walk[i]; m < all->first_walk[i + 1]; m++) {
                 Size other = all->entry_walk[m], beside = all->path + (Size)all->walk_column[other];
@@ -1136,53 +1124,82 @@ INLINE void add_moments_of(Size size, Size r, const Blocks *all, Size i, double 
 }
 
 /* Write what was held of an interval, and hold nothing. */
-INLINE void put(Size order, const Blocks *all, Size place, Size knots, Held *held)
+INLINE void put_rows(const Blocks *all, Size place, Size knots, Held *held)
 {
-    Size width = knots + all->constants + 1, size = 2 * order, pitch = PADDED(size);
+    Size others = all->constants + 1, width = knots + others;
     double *total = all->knots + place * knots * width;
-    if (order) {
-        for (Size j = 0; j < 3; j++)
-            for (Size m = 0; m <= j; m++) {
-                double *own = held->own + (j * (j + 1) / 2 + m) * MOST_PAIRS;
-                for (Size a = 0; a < size; a++)
-                    for (Size b = 0; b < size; b++) {
-                        double value = own[a >= b ? a * (a + 1) / 2 + b : b * (b + 1) / 2 + a];
-                        Size one = j * size + a, two = m * size + b;
-                        value *= held->scale[one] * held->scale[two];
-                        total[held->column[one] * width + held->column[two]] += value;
-                        if (m < j)
-                            total[held->column[two] * width + held->column[one]] += value;
-                    }
-            }
-        memset(held->own, 0, sizeof(double) * 6 * MOST_PAIRS);
-    } else {
-        for (Size a = 0; a < knots; a++) {
-            for (Size b = 0; b < a; b++) {
-                total[a * width + b] += held->own[a * knots + b];
-                total[b * width + a] += held->own[a * knots + b];
-            }
-            total[a * width + a] += held->own[a * knots + a];
+    for (Size a = 0; a < knots; a++) {
+        for (Size b = 0; b < a; b++) {
+            total[a * width + b] += held->own[a * knots + b];
+            total[b * width + a] += held->own[a * knots + b];
         }
-        memset(held->own, 0, sizeof(double) * (size_t)(knots * knots));
+        total[a * width + a] += held->own[a * knots + a];
     }
-    Size others = all->constants + 1, length = order ? 3 * pitch : knots;
-    for (Size column = 0; column < others + (order ? 2 * all->walks : 0); column++) {
+    memset(held->own, 0, sizeof(double) * (size_t)(knots * knots));
+    for (Size column = 0; column < others; column++) {
         if (!held->touched[column])
             continue;
-        double *cross = held->cross + column * length;
+        double *cross = held->cross + column * knots;
+        for (Size a = 0; a < knots; a++)
+            total[a * width + knots + column] += cross[a];
+        memset(cross, 0, sizeof(double) * (size_t)knots);
         held->touched[column] = 0;
-        Size walk = column - others, at = knots + column;
-        if (column >= others)
-            at = walk < all->walks ? all->path + walk : knots / 2 + all->path + walk - all->walks;
-        for (Size k = 0; k < held->columns; k++) {
-            Size a = order ? held->column[k] : k;
-            double value = order ? held->scale[k] * cross[k + k / size * (pitch - size)] : cross[k];
-            total[a * width + at] += value;
-            if (column >= others)
-                total[at * width + a] += value;
-        }
-        memset(cross, 0, sizeof(double) * (size_t)length);
     }
+}
+
+/* The same of moments: block b of a knot's state is of its half and component, on each axis. */
+INLINE void put_moments(Size order, const Blocks *all, Size place, Size knots, Held *held)
+{
+    Size others = all->constants + 1, width = knots + others, size = 2 * order, d = knots / 2;
+    Size pitch = PADDED(size), length = 3 * pitch, count = 0, columns = others + 2 * all->walks;
+    double *total = all->knots + place * knots * width;
+    for (Size a = 0; a < size; a++)
+        for (Size b = 0; b < size; b++) {
+            const double *own = held->own + (a >= b ? a * (a + 1) / 2 + b : b * (b + 1) / 2 + a);
+            const double *one = all->scale + 3 * (a % order), *two = all->scale + 3 * (b % order);
+            double *to = total + (a / order * d + 3 * (a % order)) * width + b / order * d +
+                         3 * (b % order);
+            for (Size j = 0; j < 3; j++)
+                for (Size m = 0; m < 3; m++)
+                    to[j * width + m] +=
+                        one[j] * two[m] *
+                        own[(j >= m ? j * (j + 1) / 2 + m : m * (m + 1) / 2 + j) * MOST_PAIRS];
+        }
+    memset(held->own, 0, sizeof(double) * 6 * MOST_PAIRS);
+    for (Size column = 0; column < columns; column++)
+        if (held->touched[column]) {
+            Size walk = column - others;
+            held->from[count] = column * length;
+            held->at[count++] = walk < 0            ? knots + column
+                                : walk < all->walks ? all->path + walk
+                                                    : d + all->path + walk - all->walks;
+            held->touched[column] = 0;
+        }
+    for (Size j = 0; j < 3; j++)
+        for (Size b = 0; b < size; b++) {
+            Size row = b / order * d + 3 * (b % order) + j;
+            double scale = all->scale[3 * (b % order) + j], *to = total + row * width;
+            const double *cross = held->cross + j * pitch + b;
+            for (Size k = 0; k < count; k++) {
+                double value = scale * cross[held->from[k]];
+                to[held->at[k]] += value;
+                if (held->at[k] < knots)
+                    total[held->at[k] * width + row] += value;
+            }
+        }
+    if (4 * count > columns)
+        memset(held->cross, 0, sizeof(double) * (size_t)(columns * length));
+    else
+        for (Size k = 0; k < count; k++)
+            memset(held->cross + held->from[k], 0, sizeof(double) * (size_t)length);
+}
+
+INLINE void put(Size order, const Blocks *all, Size place, Size knots, Held *held)
+{
+    if (order)
+        put_moments(order, all, place, knots, held);
+    else
+        put_rows(all, place, knots, held);
 }
 
 INLINE int add_all_of(Size order, Size r, const Blocks *all, Held *held)
@@ -1225,7 +1242,6 @@ WIDE static int add_all(const Blocks *all, Held *held)
 static double *make_room(const Blocks *all, Size knots, Held *held)
 {
     Size columns = all->constants + 1 + 2 * all->walks, size = 2 * all->order;
-    Size d = all->path + all->walks;
     Size own = all->order ? 6 * MOST_PAIRS : knots * knots;
     Size length = all->order ? 3 * PADDED(size) : knots;
     double *room = calloc((size_t)(own + columns * length + 2 * knots + 1), sizeof(double));
@@ -1234,13 +1250,6 @@ static double *make_room(const Blocks *all, Size knots, Held *held)
     held->own = room;
     held->cross = held->own + own;
     held->row = held->cross + columns * length;
-    held->columns = all->order ? 3 * size : knots;
-    for (Size j = 0; j < 3; j++)
-        for (Size b = 0; b < size; b++) {
-            Size half = b / all->order, component = 3 * (b % all->order) + j;
-            held->column[j * size + b] = half * d + component;
-            held->scale[j * size + b] = all->scale[component];
-        }
     return room;
 }
 
@@ -1302,10 +1311,11 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
         fits &= all.constant_column[k] >= 0 && all.constant_column[k] < all.constants;
     for (Size k = 0; k < all.f; k++)
         fits &= all.walk_column[k] >= 0 && all.walk_column[k] < all.walks;
-    Size *index = malloc(sizeof(Size) * (size_t)(2 * (all.n + 2) + all.e + all.f));
+    Size touched = columns + 2 * all.walks, entries = 2 * (all.n + 2) + all.e + all.f;
+    Size *index = malloc(sizeof(Size) * (size_t)(entries + 2 * touched));
     Held held;
     double *room = make_room(&all, knots, &held);
-    held.touched = calloc((size_t)(columns + 2 * all.walks), 1);
+    held.touched = calloc((size_t)touched, 1);
     if (index == NULL || room == NULL || held.touched == NULL) {
         free(index);
         free(room);
@@ -1314,6 +1324,8 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
         return PyErr_NoMemory();
     }
     Py_BEGIN_ALLOW_THREADS
+    held.from = index + entries;
+    held.at = held.from + touched;
     Size *first = index, *first_walk = first + all.n + 2;
     Size *entry = first_walk + all.n + 2, *entry_walk = entry + all.e;
     all.first = first;
