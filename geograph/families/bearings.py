@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -379,12 +380,13 @@ class BearingFamily(SensorFamily):
         compiled.bearings(
             *(count, path.knots_s.size, order, size, constants.size),
             *(walks.row.size, values.walks.shape[1], _LIGHT_TIME_ROUNDS),
-            *(int(self._clocked), int(self._fast), self.speed_m_s, self.spin_rad_s),
+            *(int(self._clocked), int(self._fast), int(self._noise_elevation is not None)),
+            *(self.speed_m_s, self.spin_rad_s),
             self._speed(faster)[1],
             *map(flat, (path.knots_s, state.basis, hermite_coefficients(order), received)),
             *map(flat, (poses.position_m, poses.axes, poses.velocity_m_s, poses.axes_rate)),
             *map(flat, (self.bearings.azimuth_rad, self.bearings.elevation_rad)),
-            flat(self._noise_elevation),
+            flat(self._turned_angles),
             None if self._uniform else flat(self._tangent),
             *(self._white, light_time, residual, interval, emitted),
             *((by.weights, by.by_position) if by is not None else (None, None)),
@@ -408,6 +410,13 @@ class BearingFamily(SensorFamily):
             after,
             by_walks,
         )
+
+    @cached_property
+    def _turned_angles(self) -> NDArray[np.float64]:
+        """Shape (n, 4): cosine and sine of the measured azimuth, and of the elevation."""
+        azimuth, elevation = self.bearings.azimuth_rad, self._elevation
+        turned = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+        return np.stack(turned, axis=1)
 
     def _derivatives(
         self,

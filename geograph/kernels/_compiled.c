@@ -913,6 +913,8 @@ typedef struct {
    the knots' columns, or moments of which these are made, and of these columns with the others'. */
 typedef struct {
     double *own, *cross, *row;
+    double *pairs, *moments; /* of measurements that are not in own yet */
+    Size waiting;
     char *touched;
     Size *from, *at; /* of the columns that were touched: their place in cross, and in the result */
 } Held;
@@ -966,6 +968,15 @@ INLINE void lay_out(const Blocks *all, Size i, Size q, double root, Size d, Size
     }
 }
 
+/* The product of the few numbers of one measurement. */
+INLINE double few(Size r, const double *a, const double *b)
+{
+    double value = 0.0;
+    for (Size q = 0; q < r; q++)
+        value += a[q] * b[q];
+    return value;
+}
+
 /* Add the products of a measurement's residual and its derivatives by the constants. */
 INLINE void add_others(Size r, const Blocks *all, Size i, double root, double *others)
 {
@@ -976,30 +987,21 @@ INLINE void add_others(Size r, const Blocks *all, Size i, double root, double *o
         const double *by = all->by_constants + all->entry[k] * r;
         Size column = (Size)all->constant_column[all->entry[k]];
         double *out = others + column * c;
-        for (Size m = all->first[i]; m <= k; m++) {
-            const double *next = all->by_constants + all->entry[m] * r;
+        for (Size m = all->first[i]; m < k; m++) {
+            double product = square * few(r, by, all->by_constants + all->entry[m] * r);
             Size beside = (Size)all->constant_column[all->entry[m]];
-            double product = 0.0;
-            for (Size q = 0; q < r; q++)
-                product += by[q] * next[q];
-            product *= square;
-            if (beside <= column)
+            if (beside < column)
                 out[beside] += product;
-            else
+            else if (beside > column)
                 others[beside * c + column] += product;
-            if (beside == column && m < k)
+            else
                 /* Two entries in one place: each meets the other. */
-                out[beside] += product;
+                out[column] += 2.0 * product;
         }
-        double product = 0.0;
-        for (Size q = 0; q < r; q++)
-            product += by[q] * residual[q];
-        others[last * c + column] += square * product;
+        out[column] += square * few(r, by, by);
+        others[last * c + column] += square * few(r, by, residual);
     }
-    double product = 0.0;
-    for (Size q = 0; q < r; q++)
-        product += residual[q] * residual[q];
-    others[last * c + last] += square * product;
+    others[last * c + last] += square * few(r, residual, residual);
 }
 
 /* Add a measurement's rows to the sums of its interval, two at a time. */
@@ -1042,6 +1044,26 @@ INLINE void add_rows_of(const Blocks *all, Size i, double root, Size d, Size kno
 /* Pairs of blocks, later times earlier, in the order of their moments; padded to whole registers. */
 #define MOST_PAIRS 24
 
+/* Six moments, padded; measurements whose moments wait to be multiplied by their pairs at once. */
+#define MOMENTS 8
+#define WAITING 16
+
+INLINE void add_waiting(Size size, Held *held)
+{
+    Size pairs = PADDED(size * (size + 1) / 2);
+    for (Size m = 0; m < MOMENTS; m += 4) {
+        Size b = 0;
+        double *out = held->own + m * MOST_PAIRS;
+        for (; b + 8 <= pairs; b += 8)
+            add_block(held->waiting, 8, 1.0, held->moments + m, MOMENTS, held->pairs + b, MOST_PAIRS,
+                      out + b, MOST_PAIRS);
+        if (b < pairs)
+            add_block(held->waiting, 4, 1.0, held->moments + m, MOMENTS, held->pairs + b, MOST_PAIRS,
+                      out + b, MOST_PAIRS);
+    }
+    held->waiting = 0;
+}
+
 /* The same where the rows are weights of the blocks times a derivative by the position: six moments
    of each pair of blocks, of which the products are made once an interval. Columns are those of
    one axis after another, each axis padded to whole registers. */
@@ -1053,7 +1075,9 @@ INLINE void add_moments_of(Size size, Size r, const Blocks *all, Size i, double 
     double w[PADDED(2 * MOST_ORDER)] = {0.0};
     for (Size b = 0; b < size; b++)
         w[b] = all->weights[i * size + b];
-    double square = root * root, moment[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+    double square = root * root, *moment = held->moments + held->waiting * MOMENTS;
+    double *pair = held->pairs + held->waiting * MOST_PAIRS;
+    memset(moment, 0, sizeof(double) * MOMENTS);
     for (Size q = 0; q < r; q++) {
         const double *j = by + 3 * q;
         moment[0] += j[0] * j[0];
@@ -1063,13 +1087,12 @@ INLINE void add_moments_of(Size size, Size r, const Blocks *all, Size i, double 
         moment[4] += j[2] * j[1];
         moment[5] += j[2] * j[2];
     }
-    double pair[MOST_PAIRS] = {0.0};
     Size p = 0;
     for (Size a = 0; a < size; a++)
         for (Size b = 0; b <= a; b++)
             pair[p++] = square * w[a] * w[b];
-    for (Size m = 0; m < 6; m++)
-        add_row(PADDED(p), moment[m], pair, held->own + m * MOST_PAIRS);
+    if (++held->waiting == WAITING)
+        add_waiting(size, held);
     for (Size k = all->first[i]; k <= all->first[i + 1]; k++) {
         int residual = k == all->first[i + 1];
         const double *other = residual ? all->residual + i * r
@@ -1153,6 +1176,7 @@ INLINE void put_moments(Size order, const Blocks *all, Size place, Size knots, H
     Size others = all->constants + 1, width = knots + others, size = 2 * order, d = knots / 2;
     Size pitch = PADDED(size), length = 3 * pitch, count = 0, columns = others + 2 * all->walks;
     double *total = all->knots + place * knots * width;
+    add_waiting(size, held);
     for (Size a = 0; a < size; a++)
         for (Size b = 0; b < size; b++) {
             const double *own = held->own + (a >= b ? a * (a + 1) / 2 + b : b * (b + 1) / 2 + a);
@@ -1165,7 +1189,7 @@ INLINE void put_moments(Size order, const Blocks *all, Size place, Size knots, H
                         one[j] * two[m] *
                         own[(j >= m ? j * (j + 1) / 2 + m : m * (m + 1) / 2 + j) * MOST_PAIRS];
         }
-    memset(held->own, 0, sizeof(double) * 6 * MOST_PAIRS);
+    memset(held->own, 0, sizeof(double) * MOMENTS * MOST_PAIRS);
     for (Size column = 0; column < columns; column++)
         if (held->touched[column]) {
             Size walk = column - others;
@@ -1242,11 +1266,16 @@ WIDE static int add_all(const Blocks *all, Held *held)
 static double *make_room(const Blocks *all, Size knots, Held *held)
 {
     Size columns = all->constants + 1 + 2 * all->walks, size = 2 * all->order;
-    Size own = all->order ? 6 * MOST_PAIRS : knots * knots;
+    Size own = all->order ? MOMENTS * MOST_PAIRS : knots * knots;
+    Size waiting = all->order ? WAITING * (MOST_PAIRS + MOMENTS) : 0;
     Size length = all->order ? 3 * PADDED(size) : knots;
-    double *room = calloc((size_t)(own + columns * length + 2 * knots + 1), sizeof(double));
+    Size held_apart = own + columns * length + 2 * knots;
+    double *room = calloc((size_t)(held_apart + waiting + 1), sizeof(double));
     if (room == NULL)
         return NULL;
+    held->waiting = 0;
+    held->pairs = room + held_apart;
+    held->moments = held->pairs + WAITING * MOST_PAIRS;
     held->own = room;
     held->cross = held->own + own;
     held->row = held->cross + columns * length;
@@ -1355,9 +1384,9 @@ typedef struct {
     Size n, knots, order, e, s, f, walks;
     const double *knots_s, *basis, *hermite;
     const double *received_s, *sensor_m, *axes, *sensor_velocity, *axes_rate;
-    const double *azimuth, *elevation, *noise_elevation, *tangent, *white;
+    const double *azimuth, *elevation, *turned, *tangent, *white;
     double speed_m_s, spin_rad_s, enough_s;
-    int clocked, fast, rounds;
+    int clocked, fast, noisy, rounds;
     double *light_time_s, *residual, *time_s, *weights, *by_position, *by_constants;
     int64_t *interval;
     const int64_t *constant_row, *constant_channel, *constant_column;
@@ -1410,7 +1439,8 @@ INLINE void weights(Size order, int moving, const double *hermite, double step, 
                     slope += by[power] * (double)power * powers[power - 1];
             }
             position[row] = value * unit;
-            velocity[row] = slope * unit * each;
+            if (moving)
+                velocity[row] = slope * unit * each;
         }
 }
 
@@ -1476,13 +1506,30 @@ typedef struct {
 #define OPPOSITE 1e-7
 #define LEAST_COSINE 1e-7
 
-/* factors/bearing.py: tangent_residual. */
-INLINE Miss tangent_miss(const double *sight, double azimuth, double elevation,
-                                const double *noise_elevation)
+/* Cosine and sine of an angle less "by", from those of the angle. */
+INLINE void turn_by(const double *angle, double by, double *cosine, double *sine)
+{
+    double c, s;
+    if (fabs(by) < 0.05) {
+        double square = by * by;
+        c = 1.0 - square / 2.0 * (1.0 - square / 12.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0)));
+        s = by * (1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)));
+    } else {
+        c = cos(by);
+        s = sin(by);
+    }
+    *cosine = angle[0] * c + angle[1] * s;
+    *sine = angle[1] * c - angle[0] * s;
+}
+
+/* factors/bearing.py: tangent_residual; "measured" has cosine and sine of azimuth and of elevation,
+   from which the errors are taken. "noisy": the noise's metric is that of the measured elevation. */
+INLINE Miss tangent_miss(const double *sight, const double *measured, const double *errors, int noisy)
 {
     Miss found;
-    double sin_a = sin(azimuth), cos_a = cos(azimuth);
-    double sin_e = sin(elevation), cos_e = cos(elevation);
+    double sin_a, cos_a, sin_e, cos_e;
+    turn_by(measured, errors[AZIMUTH], &cos_a, &sin_a);
+    turn_by(measured + 2, errors[ELEVATION], &cos_e, &sin_e);
     double near = 1.0 / sqrt(dot(sight, sight));
     double direction[3] = {sight[0] * near, sight[1] * near, sight[2] * near};
     double forward = direction[0] * cos_a + direction[1] * sin_a, up = direction[2];
@@ -1503,8 +1550,8 @@ INLINE Miss tangent_miss(const double *sight, double azimuth, double elevation,
         curvature = (sine - theta * c) / (sine * sine * sine);
     }
     double ratio = 1.0, level2 = 1.0;
-    if (noise_elevation != NULL) {
-        double noise = cos(*noise_elevation);
+    if (noisy) {
+        double noise = measured[2];
         level2 = cos_e * cos_e + ZENITH_ROUNDING * ZENITH_ROUNDING;
         ratio = sqrt((noise * noise + ZENITH_ROUNDING * ZENITH_ROUNDING) / level2);
     }
@@ -1528,7 +1575,7 @@ INLINE Miss tangent_miss(const double *sight, double azimuth, double elevation,
         found.by_error[0][error] = -(stretch * ds1 + s1 * both);
         found.by_error[1][error] = -(stretch * ds2 + s2 * both);
     }
-    if (noise_elevation != NULL) {
+    if (noisy) {
         found.by_error[0][1] -= found.value[0] * cos_e * sin_e / level2;
         found.value[0] *= ratio;
         for (int axis = 0; axis < 3; axis++)
@@ -1678,14 +1725,12 @@ INLINE void bearings_of(Size order, int moving, const Bearings *all)
         all->time_s[i] = emitted;
         const double *axes = all->axes + 9 * i;
         double sight[3] = {dot(axes, seen.line), dot(axes + 3, seen.line), dot(axes + 6, seen.line)};
-        double azimuth = all->azimuth[i] - errors[AZIMUTH];
-        double elevation = all->elevation[i] - errors[ELEVATION];
         Miss miss;
         if (all->tangent == NULL || all->tangent[i] != 0.0)
-            miss = tangent_miss(sight, azimuth, elevation,
-                                all->noise_elevation == NULL ? NULL : all->noise_elevation + i);
+            miss = tangent_miss(sight, all->turned + 4 * i, errors, all->noisy);
         else
-            miss = coordinate_miss(sight, azimuth, elevation);
+            miss = coordinate_miss(sight, all->azimuth[i] - errors[AZIMUTH],
+                                   all->elevation[i] - errors[ELEVATION]);
         for (int q = 0; q < 2; q++)
             all->residual[2 * i + q] = miss.value[q] * all->white[2 * i + q];
         if (all->by_position == NULL)
@@ -1733,6 +1778,7 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.rounds = (int)whole(&reader);
     all.clocked = (int)whole(&reader);
     all.fast = (int)whole(&reader);
+    all.noisy = (int)whole(&reader);
     all.speed_m_s = number(&reader);
     all.spin_rad_s = number(&reader);
     all.enough_s = number(&reader);
@@ -1750,7 +1796,7 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.axes_rate = reals(&reader, 9 * n);
     all.azimuth = reals(&reader, n);
     all.elevation = reals(&reader, n);
-    all.noise_elevation = reals(&reader, n);
+    all.turned = reals(&reader, 4 * n);
     all.tangent = reals(&reader, n);
     all.white = reals(&reader, 2 * n);
     all.light_time_s = results(&reader, n);
@@ -1775,7 +1821,7 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.walk_after = results(&reader, f);
     all.by_walks = results(&reader, all.by_position == NULL ? 0 : 2 * f);
     int there = all.knots_s && all.basis && all.hermite && all.received_s && all.sensor_m &&
-                all.axes && all.sensor_velocity && all.azimuth && all.elevation &&
+                all.axes && all.sensor_velocity && all.azimuth && all.elevation && all.turned &&
                 all.white && all.light_time_s && all.residual && all.interval && all.time_s &&
                 all.constant_row && all.constant_channel && all.constant_column &&
                 all.constant_basis && all.constants && all.walk_row && all.walk_channel &&
