@@ -240,8 +240,11 @@ class Elimination(Factorisation):
         else:
             knot = knot + system.blocks.knots[0]
             other = other + system.blocks.others.sum(axis=0)
-        information = np.block([[knot[:, :-1]], [knot[:, d:-1].T, other[:-1, :-1]]])
-        np.einsum("ii->i", information)[:] += damping
+        size = d + constants.size
+        information = np.empty((size, size))
+        information[:d], information[d:, :d] = knot[:, :-1], knot[:, d:-1].T
+        information[d:, d:] = other[:-1, :-1]
+        information.flat[:: size + 1] += damping
         root, fault = lapack.dpotrf(information, lower=1, clean=1)
         if fault or not np.isfinite(root).all():
             raise NotPositiveDefiniteError

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -120,6 +119,11 @@ class BearingFamily(SensorFamily):
         self.path_noise_m = np.zeros(len(bearings))
         self.path_noise_m_s = np.zeros(len(bearings))
         self._white = self._whitening(np.full(len(bearings), np.inf))
+        azimuth, elevation = bearings.azimuth_rad, self._elevation
+        turned = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+        self._measured_turns = np.stack(turned, axis=1)
+        if not self._clocked:
+            self._posed(bearings.time_s)
 
     def _whitening(self, distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return reciprocals of the sigmas, shape (n, 2), position noise included."""
@@ -386,7 +390,7 @@ class BearingFamily(SensorFamily):
             *map(flat, (path.knots_s, state.basis, hermite_coefficients(order), received)),
             *map(flat, (poses.position_m, poses.axes, poses.velocity_m_s, poses.axes_rate)),
             *map(flat, (self.bearings.azimuth_rad, self.bearings.elevation_rad)),
-            flat(self._turned_angles),
+            flat(self._measured_turns),
             None if self._uniform else flat(self._tangent),
             *(self._white, light_time, residual, interval, emitted),
             *((by.weights, by.by_position) if by is not None else (None, None)),
@@ -410,13 +414,6 @@ class BearingFamily(SensorFamily):
             after,
             by_walks,
         )
-
-    @cached_property
-    def _turned_angles(self) -> NDArray[np.float64]:
-        """Shape (n, 4): cosine and sine of the measured azimuth, and of the elevation."""
-        azimuth, elevation = self.bearings.azimuth_rad, self._elevation
-        turned = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
-        return np.stack(turned, axis=1)
 
     def _derivatives(
         self,
