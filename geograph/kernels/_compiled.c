@@ -173,51 +173,6 @@ static int complete(Reader *reader, int all)
 
 /* ---------------------------------------------------------------------------------- matrices */
 
-/* row += by[0] B[0] + by[1] B[1] + ..., k rows of B, ldb apart; by's entries are step apart. Three
-   at a time, so that the row is loaded and stored a third as often; transitions are mostly zeros. */
-INLINE void add_rows(Size k, Size n, double sign, const double *by, Size step,
-                            const double *b, Size ldb, double *restrict row)
-{
-    Size threes = k - k % 3;
-    for (Size j = 0; j < threes; j += 3) {
-        double one = by[j * step], two = by[(j + 1) * step], three = by[(j + 2) * step];
-        int used = (one != 0.0) + (two != 0.0) + (three != 0.0);
-        if (used == 0)
-            continue;
-        const double *restrict first = b + j * ldb;
-        if (used == 1) {
-            double only = sign * (one != 0.0 ? one : two != 0.0 ? two : three);
-            first += (one != 0.0 ? 0 : two != 0.0 ? 1 : 2) * ldb;
-            for (Size c = 0; c < n; c++)
-                row[c] += only * first[c];
-            continue;
-        }
-        const double *restrict second = first + ldb, *restrict third = second + ldb;
-        one *= sign;
-        two *= sign;
-        three *= sign;
-        for (Size c = 0; c < n; c++)
-            row[c] += one * first[c] + two * second[c] + three * third[c];
-    }
-    for (Size j = threes; j < k; j++) {
-        double only = by[j * step];
-        if (only == 0.0)
-            continue;
-        only *= sign;
-        const double *restrict first = b + j * ldb;
-        for (Size c = 0; c < n; c++)
-            row[c] += only * first[c];
-    }
-}
-
-/* out (m x n) += sign A (m x k) B (k x n); rows of A, B and out are lda, ldb, ldo apart. */
-INLINE void add_product(Size m, Size k, Size n, double sign, const double *a, Size lda,
-                               const double *b, Size ldb, double *out, Size ldo)
-{
-    for (Size i = 0; i < m; i++)
-        add_rows(k, n, sign, a + i * lda, 1, b, ldb, out + i * ldo);
-}
-
 /* Four numbers at once, from any address; where the compiler has no such type, one by one. */
 #if defined(__GNUC__) || defined(__clang__)
 typedef double Four __attribute__((vector_size(32), aligned(8), may_alias));
@@ -259,6 +214,20 @@ INLINE void add_block(Size d, Size width, double sign, const double *one, Size p
             total[a * t + b] += sign * sum;
         }
 #endif
+}
+
+/* out (m x n) += A'B with k rows of A and B, p and q apart; m and n multiples of four, and none of the
+   rows of A and B beyond them. */
+INLINE void add_products(Size k, Size m, Size n, const double *a, Size p, const double *b, Size q,
+                         double *out, Size t)
+{
+    for (Size i = 0; i < m; i += 4) {
+        Size j = 0;
+        for (; j + 8 <= n; j += 8)
+            add_block(k, 8, 1.0, a + i, p, b + j, q, out + i * t + j, t);
+        if (j < n)
+            add_block(k, 4, 1.0, a + i, p, b + j, q, out + i * t + j, t);
+    }
 }
 
 /* total -= R'R in the upper triangle (and a little below it), R (d x p), p a multiple of four. */
@@ -635,56 +604,113 @@ typedef struct {
 } Covariances;
 
 /* out (columns x rows) is the transpose of a (rows x columns), whose rows are lda apart. */
-INLINE void transpose(Size rows, Size columns, const double *a, Size lda, double *restrict out)
+/* Of one knot, rows padded: p = PADDED(d), t = PADDED(s). */
+typedef struct {
+    double *constants;   /* s x t */
+    double *slope, *lean; /* p x t, and one to write the next to */
+    double *turned;      /* s x p: slope' */
+    double *cross;       /* t x p: constants slope' */
+    double *known, *own; /* p x p */
+    double *by;          /* (d + s) x p: back' */
+    double *spread;      /* d x p: spread' */
+    double *work;        /* p x p */
+} Covering;
+
+static Size room_to_cover(Size d, Size s)
+{
+    Size p = PADDED(d), t = PADDED(s);
+    return s * t + 2 * p * t + s * p + t * p + 3 * p * p + (d + s) * p + d * p;
+}
+
+static void lay_out_cover(Size d, Size s, double *room, Covering *now)
+{
+    Size p = PADDED(d), t = PADDED(s);
+    now->constants = room;
+    now->slope = now->constants + s * t;
+    now->lean = now->slope + p * t;
+    now->turned = now->lean + p * t;
+    now->cross = now->turned + s * p;
+    now->known = now->cross + t * p;
+    now->own = now->known + p * p;
+    now->work = now->own + p * p;
+    now->by = now->work + p * p;
+    now->spread = now->by + (d + s) * p;
+}
+
+/* out (columns x rows, p apart) = a', a's rows lda apart. */
+INLINE void transpose(Size rows, Size columns, const double *a, Size lda, double *restrict out, Size p)
 {
     for (Size i = 0; i < rows; i++)
         for (Size j = 0; j < columns; j++)
-            out[j * rows + i] = a[i * lda + j];
+            out[j * p + i] = a[i * lda + j];
 }
 
-/* knots and cross of one knot; "turned" has room for s x d. */
-INLINE void put_covariance(const Covariances *all, Size k, double *turned)
+/* knots and cross of one knot, from known and slope. */
+INLINE void put_covariance(Size d, const Covariances *all, Size k, const Covering *now)
 {
-    Size d = all->d, s = all->s;
+    Size s = all->s, p = PADDED(d), t = PADDED(s);
     double *cross = all->cross + k * d * s, *own = all->knots + k * d * d;
-    memset(cross, 0, sizeof(double) * (size_t)(d * s));
-    add_product(d, s, s, 1.0, all->slope, s, all->constants, s, cross, s);
-    memcpy(own, all->known, sizeof(double) * (size_t)(d * d));
-    transpose(d, s, all->slope, s, turned);
-    add_product(d, s, d, 1.0, cross, s, turned, d, own, d);
+    transpose(d, s, now->slope, t, now->turned, p);
+    memset(now->cross, 0, sizeof(double) * (size_t)(t * p));
+    add_products(s, t, p, now->constants, t, now->turned, p, now->cross, p);
+    memcpy(now->own, now->known, sizeof(double) * (size_t)(p * p));
+    add_products(s, p, p, now->cross, p, now->turned, p, now->own, p);
     for (Size i = 0; i < d; i++)
-        for (Size j = 0; j < i; j++)
-            own[i * d + j] = own[j * d + i] = 0.5 * (own[i * d + j] + own[j * d + i]);
+        for (Size j = 0; j <= i; j++)
+            now->own[i * p + j] = now->own[j * p + i] = own[i * d + j] = own[j * d + i] =
+                0.5 * (now->own[i * p + j] + now->own[j * p + i]);
+    transpose(s, d, now->cross, p, cross, s);
 }
 
-WIDE static void marginals_all(const Covariances *all, double *work)
+INLINE void marginals_of(Size d, const Covariances *all, double *room)
 {
-    Size d = all->d, s = all->s, w = d + s + 1;
-    double *lean = work + d * d, *turned = lean + d * s;
-    put_covariance(all, all->n, turned);
-    for (Size k = all->n - 1; k >= 0; k--) {
-        const double *by = all->back + k * d * w, *root = all->spread + k * d * d;
-        double *beside = all->neighbours + k * d * d;
-        const double *next = all->cross + (k + 1) * d * s;
-        memset(beside, 0, sizeof(double) * (size_t)(d * d));
-        add_product(d, d, d, 1.0, by, w, all->knots + (k + 1) * d * d, d, beside, d);
-        transpose(d, s, next, s, turned);
-        add_product(d, s, d, 1.0, by + d, w, turned, d, beside, d);
-        memset(work, 0, sizeof(double) * (size_t)(d * d));
-        add_product(d, d, d, 1.0, by, w, all->known, d, work, d);
-        for (Size i = 0; i < d; i++)
-            for (Size j = 0; j <= i; j++) {
-                double value = 0.0;
-                for (Size m = 0; m < d; m++)
-                    value += work[i * d + m] * by[j * w + m] + root[i * d + m] * root[j * d + m];
-                all->known[i * d + j] = all->known[j * d + i] = value;
-            }
-        for (Size i = 0; i < d; i++)
-            memcpy(lean + i * s, by + i * w + d, sizeof(double) * (size_t)s);
-        add_product(d, d, s, 1.0, by, w, all->slope, s, lean, s);
-        memcpy(all->slope, lean, sizeof(double) * (size_t)(d * s));
-        put_covariance(all, k, turned);
+    Size s = all->s, w = d + s + 1, p = PADDED(d), t = PADDED(s);
+    Covering now;
+    memset(room, 0, sizeof(double) * (size_t)room_to_cover(d, s));
+    lay_out_cover(d, s, room, &now);
+    for (Size i = 0; i < s; i++)
+        memcpy(now.constants + i * t, all->constants + i * s, sizeof(double) * (size_t)s);
+    for (Size i = 0; i < d; i++) {
+        memcpy(now.slope + i * t, all->slope + i * s, sizeof(double) * (size_t)s);
+        memcpy(now.known + i * p, all->known + i * d, sizeof(double) * (size_t)d);
     }
+    put_covariance(d, all, all->n, &now);
+    for (Size k = all->n - 1; k >= 0; k--) {
+        const double *by = all->back + k * d * w;
+        double *beside = all->neighbours + k * d * d, *work = now.work;
+        transpose(d, d + s, by, w, now.by, p);
+        transpose(d, d, all->spread + k * d * d, d, now.spread, p);
+        memset(work, 0, sizeof(double) * (size_t)(p * p));
+        add_products(d, p, p, now.by, p, now.own, p, work, p);
+        add_products(s, p, p, now.by + d * p, p, now.cross, p, work, p);
+        for (Size i = 0; i < d; i++)
+            memcpy(beside + i * d, work + i * p, sizeof(double) * (size_t)d);
+        memset(work, 0, sizeof(double) * (size_t)(p * p));
+        add_products(d, p, p, now.known, p, now.by, p, work, p);
+        memset(now.known, 0, sizeof(double) * (size_t)(p * p));
+        add_products(d, p, p, now.by, p, work, p, now.known, p);
+        add_products(d, p, p, now.spread, p, now.spread, p, now.known, p);
+        for (Size i = 0; i < d; i++)
+            for (Size j = 0; j < i; j++)
+                now.known[j * p + i] = now.known[i * p + j];
+        for (Size i = 0; i < d; i++)
+            memcpy(now.lean + i * t, by + i * w + d, sizeof(double) * (size_t)s);
+        add_products(d, p, t, now.by, p, now.slope, t, now.lean, t);
+        double *slope = now.slope;
+        now.slope = now.lean;
+        now.lean = slope;
+        put_covariance(d, all, k, &now);
+    }
+}
+
+WIDE static void marginals_all(const Covariances *all, double *room)
+{
+    if (all->d == 9)
+        marginals_of(9, all, room);
+    else if (all->d == 6)
+        marginals_of(6, all, room);
+    else
+        marginals_of(all->d, all, room);
 }
 
 static PyObject *marginals(PyObject *self, PyObject *const *arguments, Size given)
@@ -707,7 +733,7 @@ static PyObject *marginals(PyObject *self, PyObject *const *arguments, Size give
         release(&reader);
         return NULL;
     }
-    double *work = malloc(sizeof(double) * (size_t)(d * (d + 2 * s) + 1));
+    double *work = malloc(sizeof(double) * (size_t)(room_to_cover(d, s) + 1));
     if (work == NULL) {
         release(&reader);
         return PyErr_NoMemory();
