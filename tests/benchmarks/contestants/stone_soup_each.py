@@ -127,8 +127,8 @@ class _EachRun(Run):
             self._detections.append(
                 Detection(np.zeros((2, 1)), timestamp=when, measurement_model=model)
             )
-        # A smoothed prediction without a measurement is taken for what was predicted: knots are read
-        # off the nearest bearing's state, milliseconds away.
+        # The smoother takes a smoothed prediction for what was predicted, so that knots cannot be
+        # steps of their own: they are read off the nearest bearing's state, milliseconds away.
         time = np.sort(data.time_s)
         after = np.clip(np.searchsorted(time, data.knots_s), 1, time.size - 1)
         nearer = data.knots_s - time[after - 1] < time[after] - data.knots_s
