@@ -1407,9 +1407,10 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
 enum { AZIMUTH = 0, ELEVATION = 1, CLOCK = 2, POSITION = 3, VELOCITY = 6, SPEED = 10, CHANNELS = 14 };
 
 typedef struct {
-    Size n, knots, order, e, s, f, walks;
+    Size n, knots, order, e, s, f, walks, poses;
     const double *knots_s, *basis, *hermite;
-    const double *received_s, *sensor_m, *axes, *sensor_velocity, *axes_rate;
+    const int64_t *pose; /* of each bearing: the row of the four that follow */
+    const double *sensor_m, *axes, *sensor_velocity, *axes_rate, *received_s;
     const double *azimuth, *elevation, *turned, *tangent, *white;
     double speed_m_s, spin_rad_s, enough_s;
     int clocked, fast, noisy, rounds;
@@ -1639,11 +1640,11 @@ INLINE Miss coordinate_miss(const double *sight, double azimuth, double elevatio
 
 /* Derivatives of the whitened rows by all channels of error and by the position at emission;
    families/bearings.py: _derivatives. */
-INLINE void derive(const Bearings *all, Size i, const double *errors, const Sight *seen,
+INLINE void derive(const Bearings *all, Size i, Size pose, const double *errors, const Sight *seen,
                    const Miss *miss, double speed, double by_channel[2][CHANNELS],
                    double by_position[2][3])
 {
-    const double *axes = all->axes + 9 * i;
+    const double *axes = all->axes + 9 * pose;
     double unit[3], rate = speed;
     for (int j = 0; j < 3; j++)
         unit[j] = seen->line[j] / seen->distance;
@@ -1675,11 +1676,11 @@ INLINE void derive(const Bearings *all, Size i, const double *errors, const Sigh
         if (all->clocked) {
             double by_time = 0.0;
             for (int j = 0; j < 3; j++)
-                by_time += by[j] * (seen->velocity[j] - all->sensor_velocity[3 * i + j] -
+                by_time += by[j] * (seen->velocity[j] - all->sensor_velocity[3 * pose + j] -
                                     errors[VELOCITY + j]);
             if (all->axes_rate != NULL)
                 for (int j = 0; j < 3; j++)
-                    by_time += in_axes[j] * dot(all->axes_rate + 9 * i + 3 * j, seen->line);
+                    by_time += in_axes[j] * dot(all->axes_rate + 9 * pose + 3 * j, seen->line);
             by_channel[q][CLOCK] = -by_time;
         }
         by_position[q][0] = cosine * by[0] - sine * by[1];
@@ -1694,6 +1695,7 @@ INLINE void bearings_of(Size order, int moving, const Bearings *all)
     Size size = 2 * order, guess = 0;
     for (Size i = 0; i < all->n; i++) {
         double errors[CHANNELS] = {0.0};
+        Size pose = (Size)all->pose[i];
         for (Size k = all->first[i]; k < all->first[i + 1]; k++) {
             Size entry = all->entry[k];
             errors[all->constant_channel[entry]] +=
@@ -1701,7 +1703,7 @@ INLINE void bearings_of(Size order, int moving, const Bearings *all)
         }
         double speed = all->speed_m_s + errors[SPEED], sensor[3], place[2 * MOST_ORDER], rates[2 * MOST_ORDER];
         for (int j = 0; j < 3; j++)
-            sensor[j] = all->sensor_m[3 * i + j] + errors[POSITION + j];
+            sensor[j] = all->sensor_m[3 * pose + j] + errors[POSITION + j];
         double light_time = all->light_time_s[i], emitted = 0.0;
         Sight seen;
         memset(&seen, 0, sizeof seen);
@@ -1749,7 +1751,7 @@ INLINE void bearings_of(Size order, int moving, const Bearings *all)
         all->light_time_s[i] = light_time;
         all->interval[i] = guess;
         all->time_s[i] = emitted;
-        const double *axes = all->axes + 9 * i;
+        const double *axes = all->axes + 9 * pose;
         double sight[3] = {dot(axes, seen.line), dot(axes + 3, seen.line), dot(axes + 6, seen.line)};
         Miss miss;
         if (all->tangent == NULL || all->tangent[i] != 0.0)
@@ -1762,7 +1764,7 @@ INLINE void bearings_of(Size order, int moving, const Bearings *all)
         if (all->by_position == NULL)
             continue;
         double channel[2][CHANNELS];
-        derive(all, i, errors, &seen, &miss, speed, channel, (double(*)[3])(all->by_position + 6 * i));
+        derive(all, i, pose, errors, &seen, &miss, speed, channel, (double(*)[3])(all->by_position + 6 * i));
         memcpy(all->weights + i * size, place, sizeof(double) * (size_t)size);
         for (Size k = all->first[i]; k < all->first[i + 1]; k++) {
             Size entry = all->entry[k], by = (Size)all->constant_channel[entry];
@@ -1801,6 +1803,7 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.s = whole(&reader);
     Size f = all.f = whole(&reader);
     all.walks = whole(&reader);
+    all.poses = whole(&reader);
     all.rounds = (int)whole(&reader);
     all.clocked = (int)whole(&reader);
     all.fast = (int)whole(&reader);
@@ -1816,10 +1819,11 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.basis = reals(&reader, (knots - 1) * 2 * order * 3);
     all.hermite = reals(&reader, 4 * order * order);
     all.received_s = reals(&reader, n);
-    all.sensor_m = reals(&reader, 3 * n);
-    all.axes = reals(&reader, 9 * n);
-    all.sensor_velocity = reals(&reader, 3 * n);
-    all.axes_rate = reals(&reader, 9 * n);
+    all.pose = integers(&reader, n);
+    all.sensor_m = reals(&reader, 3 * all.poses);
+    all.axes = reals(&reader, 9 * all.poses);
+    all.sensor_velocity = reals(&reader, 3 * all.poses);
+    all.axes_rate = reals(&reader, 9 * all.poses);
     all.azimuth = reals(&reader, n);
     all.elevation = reals(&reader, n);
     all.turned = reals(&reader, 4 * n);
@@ -1846,7 +1850,7 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.walk_before = results(&reader, f);
     all.walk_after = results(&reader, f);
     all.by_walks = results(&reader, all.by_position == NULL ? 0 : 2 * f);
-    int there = all.knots_s && all.basis && all.hermite && all.received_s && all.sensor_m &&
+    int there = all.knots_s && all.basis && all.hermite && all.received_s && all.pose && all.sensor_m &&
                 all.axes && all.sensor_velocity && all.azimuth && all.elevation && all.turned &&
                 all.white && all.light_time_s && all.residual && all.interval && all.time_s &&
                 all.constant_row && all.constant_channel && all.constant_column &&
@@ -1860,6 +1864,8 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
         return NULL;
     }
     int fits = 1;
+    for (Size i = 0; i < n; i++)
+        fits &= all.pose[i] >= 0 && all.pose[i] < all.poses;
     for (Size k = 0; k < e; k++)
         fits &= all.constant_channel[k] >= 0 && all.constant_channel[k] < CHANNELS &&
                 all.constant_column[k] >= 0 && all.constant_column[k] < all.s;
