@@ -129,13 +129,13 @@ def _use(state: State, touched: set[int], new: set[int]) -> None:
     """Linearise, judge what is new, eliminate, and linearise again what moved too far."""
     model, chain = state.running
     assert state.limits is not None
-    measured = model.linearise(chain, sorted(touched))
+    measured = model.renew(chain, sorted(touched))
     doubtful: set[int] = set()
     if state.robust:
         doubtful = suspects(measured, new, state.total)
         if doubtful:
             touched = touched | mark(state, doubtful, kept=False, judged=False)
-            model.linearise(chain, sorted(touched))
+            model.renew(chain, sorted(touched))
     _solve_on(state)
     if model.loss.name != "none":
         _weigh_on(state, sorted(touched))
@@ -148,7 +148,7 @@ def _weigh_on(state: State, touched: list[int]) -> None:
     model, chain = state.running
 
     def weigh() -> None:
-        model.linearise(chain, touched)
+        model.renew(chain, touched)
         _solve_on(state)
 
     until_it_stands(chain, weigh, _WEIGHINGS)
@@ -165,7 +165,7 @@ def _solve_on(state: State) -> None:
         moved = state.limits.moved(chain, first)
         if not moved:
             return
-        model.linearise(chain, moved)
+        model.renew(chain, moved)
     chain.eliminate()
 
 
@@ -184,7 +184,7 @@ def _admit(state: State, doubtful: set[int]) -> None:
     good = {ident for ident, square in found.items() if square <= limit[ident]}
     if good:
         changed = mark(state, good, kept=True, judged=False)
-        model.linearise(chain, sorted(changed))
+        model.renew(chain, sorted(changed))
         _solve_on(state)
 
 

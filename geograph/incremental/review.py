@@ -30,7 +30,7 @@ def check(state: State) -> None:
         moved = state.limits.moved(chain, 0)
         if not moved:
             break
-        model.linearise(chain, moved)
+        model.renew(chain, moved)
         chain.eliminate()
     state.checked = len(chain.knots_s) + chain.gone
 
@@ -57,7 +57,7 @@ def _settle(state: State) -> None:
     model, chain = state.running
 
     def weigh() -> None:
-        model.linearise(chain, range(len(chain.pieces)))
+        model.renew(chain, range(len(chain.pieces)))
         chain.eliminate()
         chain.solve_all()
 
@@ -94,7 +94,7 @@ def _weights_changed(state: State) -> bool:
 def _weigh_again(state: State) -> None:
     model, chain = state.running
     state.model = model.reaching(chain)
-    state.model.linearise(chain, range(len(chain.pieces)))
+    state.model.renew(chain, range(len(chain.pieces)))
     chain.eliminate()
 
 
@@ -115,7 +115,7 @@ def _choose(state: State) -> None:
         changed = mark(state, admit, kept=True, judged=False) if admit else set()
         if reject:
             changed |= mark(state, reject, kept=False, judged=True)
-        model.linearise(chain, sorted(changed))
+        model.renew(chain, sorted(changed))
         chain.eliminate()
         check(state)
 
