@@ -8,11 +8,12 @@ import logging
 import feeding
 import numpy as np
 import pytest
-from feed_faults import POISON_DEG, raise_for_poison
+from feed_faults import POISON_DEG, raise_for_poison, raise_for_poison_of
 from test_incremental import small_pass
 
 import geograph as gg
 from geograph.families import BearingFamily
+from geograph.incremental import still
 from geograph.incremental.rows import TABLES, Emissions, read
 from geograph.incremental.trial import try_rows
 from geograph.prepare import prepare
@@ -66,8 +67,18 @@ def test_a_fault_inside_a_family_changes_nothing(halfway, monkeypatch, what):
         found = real(self, *arguments, **options)
         return dataclasses.replace(found, residual=np.full_like(found.residual, np.nan))
 
+    interval = still.interval
+
+    def broken_interval(model, tables, chain, k):
+        if what != "nan":
+            broken(None)
+        bad = chain.copy()
+        bad.path[k] = np.full_like(bad.path[k], np.nan)
+        return interval(model, tables, bad, k)
+
     with monkeypatch.context() as patch:
         patch.setattr(BearingFamily, "evaluate", broken)
+        patch.setattr(still, "interval", broken_interval)
         with pytest.raises(gg.UpdateError):
             smoother.update(rest[0])
     same(picture(smoother), before)
@@ -164,6 +175,7 @@ def test_what_raises_before_the_start_is_refused_by_itself(monkeypatch, error, p
     raising = raise_for_poison(BearingFamily.evaluate, error)
     poison = np.radians([POISON_DEG])
     monkeypatch.setattr(BearingFamily, "evaluate", raising)
+    monkeypatch.setattr(still, "interval", raise_for_poison_of(still.interval, error))
     clean, faulty = (gg.IncrementalSmoother.of(recording) for _ in range(2))
     for k, row in enumerate(rows[:60]):
         clean.update(row)

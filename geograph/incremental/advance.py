@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -82,22 +81,22 @@ def advance(state: State, rows: Rows) -> None:
         restart(state, rows)
         state.rebuilt += 1
         return
-    every = np.sort(np.concatenate(list(times.values())))
+    every = sorted(time for own in times.values() for time in own.tolist())
     if state.reach_s is not None:
-        every = np.append(every, max(state.reach_s, float(every[-1])))
+        every.append(max(state.reach_s, every[-1]))
     before = len(chain.knots_s)
     if every[0] < chain.knots_s[0] and not chain.gone:
         chain.solve_all()
-        high = max(float(every[-1]), chain.knots_s[-1])
-        respan(state, rows, float(every[0]), high)
+        respan(state, rows, every[0], max(every[-1], chain.knots_s[-1]))
         recount(state)
         look_over(state)
         return
     touched = make_room(model, chain, every)
     for k, part in assign(chain, rows, times).items():
-        chain.pieces[k] = replace(chain.pieces[k], rows=join([chain.pieces[k].rows, part]))
+        held = chain.pieces[k]
+        chain.pieces[k] = held.holding(join([held.rows, part]) if held.rows else part)
         touched.add(k)
-    new = {int(i) for c in rows.values() for i in c["ident"]}
+    new = {i for c in rows.values() for i in c["ident"].tolist()}
     _use(state, touched, new)
     fresh = len(chain.knots_s) - before
     if fresh > _MANY_KNOTS and not chain.gone:
@@ -241,9 +240,11 @@ def _without_late(
 ) -> tuple[Rows, dict[str, NDArray[np.float64]]]:
     """Return what is not too old, and name the rest; raise where knots must be put before."""
     _, chain = state.running
+    if not chain.gone:
+        return rows, times
     first = chain.knots_s[0]
     early = {kind: time < first for kind, time in times.items()}
-    if not chain.gone or not any(mask.any() for mask in early.values()):
+    if not any(mask.any() for mask in early.values()):
         return rows, times
     state.newly_late = {k: c for k, c in choose(rows, early).items() if k != FIXES}
     state.late += count(state.newly_late)

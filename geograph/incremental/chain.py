@@ -57,6 +57,11 @@ class Piece:
     chains: NDArray[np.float64]
     constants: NDArray[np.float64]
 
+    def holding(self, rows: Rows) -> Piece:
+        """Return the piece with other rows, which have yet to be linearised."""
+        own = self.block, self.inverse, self.root, self.noise
+        return Piece(rows, *own, self.path, self.chains, self.constants)
+
 
 @dataclass(frozen=True, eq=False)
 class Final:
@@ -157,11 +162,11 @@ class Chain:
 
     def copy(self) -> Chain:
         """Return a chain whose lists may be changed without changing this one's."""
-        values = dict(vars(self))
-        for name, value in values.items():
-            if isinstance(value, list):
-                values[name] = value.copy()
-        return Chain(**values)
+        made = object.__new__(Chain)
+        held = vars(made)
+        for name, value in vars(self).items():
+            held[name] = value.copy() if type(value) is list else value
+        return made
 
     @property
     def knot_size(self) -> int:

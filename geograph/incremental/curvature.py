@@ -185,4 +185,4 @@ def _newest(chain: Chain) -> tuple[Rows, int]:
         held.append(rows)
         size += sum(columns["ident"].size for columns in rows.values())
     rows = join(held or [{}])
-    return {kind: take(c, slice(None, 2 * _ROWS)) for kind, c in rows.items()}, max(k - 1, 0)  # type: ignore[arg-type]
+    return {kind: take(c, slice(None, 2 * _ROWS)) for kind, c in rows.items()}, max(k - 1, 0)

@@ -11,9 +11,9 @@ import numpy as np
 from geograph.blocks import BlockSum, ColumnLayout, Sums
 from geograph.common import settled
 from geograph.families import CONSTRAINT_FAMILIES, FixFamily, SensorFamily
-from geograph.incremental import still
 from geograph.incremental.chain import Piece
 from geograph.incremental.rows import FIXES, TABLES, join, table_of, take
+from geograph.incremental.still import WITHIN, Seen, Still, linearise_intervals
 from geograph.kernels import flat
 from geograph.knots import add_path_noise
 from geograph.motion import inverse_stack
@@ -152,9 +152,9 @@ class Model:
         )
 
     @cached_property
-    def still(self) -> still.Still | None:
+    def still(self) -> Still | None:
         """The tables of compiled code, where bearings are of sensors that stand still."""
-        return still.Still.of(self)
+        return Still.of(self)
 
     @property
     def correlated(self) -> bool:
@@ -265,11 +265,11 @@ class Model:
             result.append(Measured(kind, columns, family, found, order, interval))
         return result
 
-    def renew(self, chain: Chain, touched: Sequence[int]) -> Sequence[Measured | still.Seen]:
+    def renew(self, chain: Chain, touched: Sequence[int]) -> Sequence[Measured | Seen]:
         """Do what :meth:`linearise` does, in the shortest way, for who needs no derivatives."""
         order = sorted(touched)
         if order:
-            seen = still.linearise(self, chain, order)
+            seen = linearise_intervals(self, chain, order)
             if seen is not None:
                 return seen
         return self.linearise(chain, order)
@@ -323,7 +323,7 @@ class Model:
     def within(self, chain: Chain, k: int) -> tuple[float, float]:
         """Return between which times the emissions of an interval's rows may be."""
         low, high = chain.knots_s[k], chain.knots_s[k + 1]
-        near, slack = still.WITHIN * self.spacing_s, _SLACK * self.spacing_s
+        near, slack = WITHIN * self.spacing_s, _SLACK * self.spacing_s
         if k == 0:
             # What was emitted before the oldest knot of a lag stays with it.
             low -= np.inf if chain.gone else slack

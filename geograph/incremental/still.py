@@ -155,7 +155,7 @@ def _usual(model: Model) -> bool:
     )
 
 
-def linearise(model: Model, chain: Chain, touched: Sequence[int]) -> list[Seen] | None:
+def linearise_intervals(model: Model, chain: Chain, touched: Sequence[int]) -> list[Seen] | None:
     """Linearise intervals of a chain at its estimate.
 
     Parameters
@@ -182,7 +182,7 @@ def linearise(model: Model, chain: Chain, touched: Sequence[int]) -> list[Seen] 
         return None
     made = []
     for k in touched:
-        found = _interval(model, still, chain, k)
+        found = interval(model, still, chain, k)
         if found is None:
             return None
         made.append(found)
@@ -192,8 +192,8 @@ def linearise(model: Model, chain: Chain, touched: Sequence[int]) -> list[Seen] 
     return [seen for _, seen in made]
 
 
-def _interval(model: Model, still: Still, chain: Chain, k: int) -> tuple[Piece, Seen] | None:
-    """Return an interval linearised; None if it holds more than bearings, or others than its own."""
+def interval(model: Model, still: Still, chain: Chain, k: int) -> tuple[Piece, Seen] | None:
+    """Return an interval linearised; None if it holds other rows than bearings emitted in it."""
     rows = chain.pieces[k].rows
     columns = rows.get("bearings", _NONE)
     if len(rows) > (columns is not _NONE):
