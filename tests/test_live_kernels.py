@@ -15,7 +15,7 @@ import geograph as gg
 from geograph import motion, sweep
 from geograph.families import bearings
 from geograph.incremental import chain as chains
-from geograph.incremental import curvature, rows, still
+from geograph.incremental import curvature, intervals, rows
 from geograph.incremental.curvature import Limits
 from geograph.incremental.model import Model
 from geograph.incremental.room import emission_times
@@ -25,7 +25,7 @@ from geograph.kernels import compiled
 from geograph.losses import Loss
 from geograph.prepare import Prepared
 
-MODULES = (bearings, chains, curvature, motion, rows, still, sweep)
+MODULES = (bearings, chains, curvature, intervals, motion, rows, sweep)
 
 
 def in_numpy(work):
@@ -37,7 +37,7 @@ def in_numpy(work):
 
 
 def random_chain(seed, kind):
-    """A model and a chain of random bearings by sensors that stand still, some left out."""
+    """A model and a chain of random bearings, some left out."""
     rng = np.random.default_rng(seed)
     problem, values = random_problem(rng, kind)
     (family,) = problem.families
@@ -73,12 +73,12 @@ def random_chain(seed, kind):
     return model, made
 
 
-still_kinds = st.builds(
+usual_kinds = st.builds(
     lambda kind, motion: dataclasses.replace(
         made_possible(kind),
         motion=motion,
         **dict.fromkeys(
-            ("along", "moving", "constraints", "clock_walks", "position_noise", "outside", "body",
+            ("along", "constraints", "clock_walks", "position_noise", "outside", "body",
              "radec"), False,
         ),
     ),
@@ -89,17 +89,17 @@ still_kinds = st.builds(
 
 @needs_compiled
 @settings(max_examples=60, deadline=None, derandomize=True, phases=[Phase.generate])
-@given(seed=st.integers(0, 2**32 - 1), kind=still_kinds)
+@given(seed=st.integers(0, 2**32 - 1), kind=usual_kinds)
 def test_an_interval_is_that_of_the_families(seed, kind):
     """Blocks, transitions, elimination, estimate and covariance; whatever the sensors' errors."""
     model, held = random_chain(seed, kind)
-    assert model.still is not None
+    assert model.fixed is not None
     every = range(len(held.pieces))
     ours, reference = held.copy(), held.copy()
     seen = model.renew(ours, every)
-    if kind.speed_m_s < 1e6 and not isinstance(seen[0], still.Seen):
+    if kind.speed_m_s < 1e6 and not isinstance(seen[0], intervals.Seen):
         return  # A slow signal was emitted in another interval: that is left to NumPy.
-    assert all(isinstance(part, still.Seen) for part in seen)
+    assert all(isinstance(part, intervals.Seen) for part in seen)
     in_numpy(lambda: model.linearise(reference, every))
     for piece, other in zip(ours.pieces, reference.pieces, strict=True):
         for kind_, columns in piece.rows.items():
@@ -126,13 +126,13 @@ def test_an_interval_is_that_of_the_families(seed, kind):
 
 @needs_compiled
 @settings(max_examples=40, deadline=None, derandomize=True, phases=[Phase.generate])
-@given(seed=st.integers(0, 2**32 - 1), kind=still_kinds)
+@given(seed=st.integers(0, 2**32 - 1), kind=usual_kinds)
 def test_times_of_emission_to_place_knots_by(seed, kind):
     model, held = random_chain(seed, dataclasses.replace(kind, speed_m_s=299792458.0))
     columns = dict(next(iter(held.pieces[-1].rows.values()), held.pieces[0].rows["bearings"]))
     ours = emission_times(model, held, "bearings", columns)
     plain = dataclasses.replace(model)
-    vars(plain)["still"] = None
+    vars(plain)["fixed"] = None
     other = dict(columns)
     alike(ours, emission_times(plain, held, "bearings", other), "emitted", rtol=1e-13)
     np.testing.assert_allclose(columns["delay_s"], other["delay_s"], rtol=1e-6, atol=1e-12)
@@ -191,11 +191,12 @@ def test_wrong_arrays_are_refused():
     with pytest.raises(ValueError, match="argument 3 holds 8 bytes of format d"):
         compiled.sound_bearings(1, 1, one, one, one, one, one, one)
     table = np.zeros(14, dtype=np.int64)
-    common = (one, np.zeros(3), np.full(1, np.nan), np.full(1, np.nan))
     for sensor, column in ((1, 0), (-1, 0), (0, 1)):
-        held = (np.zeros(3), table + column, table, np.zeros(14), one, one)
+        held = (np.zeros(3), table + column, table, np.zeros(14), one, one, np.zeros(3), None)
         with pytest.raises(IndexError, match="out of range"):
-            compiled.departures(1, 3, 1, 1, 0.0, 1.0, one, index + sensor, *held, *common[1:])
+            compiled.departures(
+                1, 3, 1, 1, 0.0, 1.0, one, index + sensor, *held, one.copy(), one.copy()
+            )
     with pytest.raises(TypeError, match="too many arguments"):
         compiled.live_covariance(1, one, one.copy(), 3)
     with pytest.raises(TypeError, match="an array is missing"):

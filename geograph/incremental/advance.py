@@ -9,7 +9,7 @@ import numpy as np
 from geograph.families import SensorFamily
 from geograph.incremental.judge import innovations, suspects
 from geograph.incremental.remake import let_go, resolve, respan, restart
-from geograph.incremental.review import check, look_over, until_it_stands
+from geograph.incremental.review import check, look_over, renew_limits, until_it_stands
 from geograph.incremental.room import assign, emission_times, make_room
 from geograph.incremental.rows import FIXES, choose, count, join
 from geograph.incremental.state import State, count_rows, mark, recount, with_fixes
@@ -198,7 +198,9 @@ def keep_up(state: State) -> None:
     if far or knots - state.checked > max(4.0, _CHECK_PART * held):
         check(state)
     if knots - state.reviewed > max(_REVIEW_KNOTS, _GROWTH * held):
-        look_over(state)
+        look_over(state, limits_later=True)
+    elif state.limits_due:
+        renew_limits(state)
     if state.lag_s is not None:
         _let_go(state)
 

@@ -15,8 +15,8 @@ import numpy as np
 from geograph.blocks import dense_rows
 from geograph.common import settled
 from geograph.families import SensorFamily
+from geograph.incremental.intervals import Seen
 from geograph.incremental.rows import TABLES
-from geograph.incremental.still import Seen
 from geograph.losses import Loss
 from geograph.robust import plain_limits, thresholds
 

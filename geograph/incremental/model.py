@@ -12,8 +12,8 @@ from geograph.blocks import BlockSum, ColumnLayout, Sums
 from geograph.common import settled
 from geograph.families import CONSTRAINT_FAMILIES, FixFamily, SensorFamily
 from geograph.incremental.chain import Piece
+from geograph.incremental.intervals import WITHIN, Fixed, Seen, linearise_intervals
 from geograph.incremental.rows import FIXES, TABLES, join, table_of, take
-from geograph.incremental.still import WITHIN, Seen, Still, linearise_intervals
 from geograph.kernels import flat
 from geograph.knots import add_path_noise
 from geograph.motion import inverse_stack
@@ -152,9 +152,9 @@ class Model:
         )
 
     @cached_property
-    def still(self) -> Still | None:
-        """The tables of compiled code, where bearings are of sensors that stand still."""
-        return Still.of(self)
+    def fixed(self) -> Fixed | None:
+        """The tables of compiled code, where bearings are the usual ones."""
+        return Fixed.of(self)
 
     @property
     def correlated(self) -> bool:

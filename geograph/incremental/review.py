@@ -35,8 +35,16 @@ def check(state: State) -> None:
     state.checked = len(chain.knots_s) + chain.gone
 
 
-def look_over(state: State) -> None:
-    """Weigh again what depends on how much there is, choose outliers, and renew the limits."""
+def look_over(state: State, *, limits_later: bool = False) -> None:
+    """Weigh again what depends on how much there is, choose outliers, and renew the limits.
+
+    Parameters
+    ----------
+    state
+        Changed in place.
+    limits_later
+        Whether the limits are left to the next update, so that none takes too long.
+    """
     model, chain = state.running
     if state.limits is None:
         state.limits = limits(model, chain, state.total_rows)
@@ -49,7 +57,16 @@ def look_over(state: State) -> None:
         _choose(state)
     knots = len(chain.knots_s) + chain.gone
     state.reviewed = knots
-    state.limits = limits(state.running[0], chain, state.total_rows)
+    state.limits_due = limits_later
+    if not limits_later:
+        renew_limits(state)
+
+
+def renew_limits(state: State) -> None:
+    """Set how far estimates may move by the newest measurements."""
+    model, chain = state.running
+    state.limits = limits(model, chain, state.total_rows)
+    state.limits_due = False
 
 
 def _settle(state: State) -> None:
@@ -124,4 +141,5 @@ def everything(state: State) -> list[Measured]:
     """Return all that is held, evaluated at the estimate."""
     model, chain = state.running
     path = model.motion.path(np.array(chain.knots_s))
-    return model.evaluate(state.rows(), path, chain.values(0, len(chain.knots_s) - 1), 0)
+    families, values = model.families(state.rows()), chain.values(0, len(chain.knots_s) - 1)
+    return model.evaluate_families(families, path, values, 0, jacobian=False)

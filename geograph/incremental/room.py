@@ -44,8 +44,8 @@ def emission_times(model: Model, chain: Chain, kind: str, columns: Columns) -> N
     prepared = model.prepared
     speed = prepared.recording.propagation_speed_m_s
     old_s = chain.knots_s[-1] - _OLD * model.spacing_s
-    if kind == "bearings" and model.still is not None and speed >= _SLOW_M_S:
-        emitted = model.still.departures(chain, columns, speed)
+    if kind == "bearings" and model.fixed is not None and speed >= _SLOW_M_S:
+        emitted = model.fixed.departures(chain, columns, speed)
         if emitted.min() >= old_s:
             return emitted
     states = prepared.states

@@ -41,8 +41,8 @@ class State:
         What holds along the whole path.
     model, chain
         From the start on.
-    limits
-        When to linearise again.
+    limits, limits_due
+        When to linearise again, and whether that is to be found anew.
     attempts, resolution
         Of the last start.
     out, names
@@ -72,6 +72,7 @@ class State:
     started_with: int = 0
     checked: int = 0
     reviewed: int = 0
+    limits_due: bool = False
     rebuilt: int = 0
     reach_s: float | None = None
     duplicates: int = 0

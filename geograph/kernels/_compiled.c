@@ -1738,7 +1738,8 @@ static PyObject *sound_bearings(PyObject *self, PyObject *const *arguments, Size
     return PyBool_FromLong(sound);
 }
 
-/* incremental/room.py: emission_times, of sensors that stand still and have no walking clock. */
+/* incremental/room.py: emission_times, where no clock walks; from places of the sensors, or of each
+   row's where they move. */
 static PyObject *departures(PyObject *self, PyObject *const *arguments, Size given)
 {
     (void)self;
@@ -1753,6 +1754,7 @@ static PyObject *departures(PyObject *self, PyObject *const *arguments, Size giv
     const int64_t *drift = integers(&reader, sensors * CHANNELS);
     const double *since_s = reals(&reader, sensors * CHANNELS), *sigma = reals(&reader, s);
     const double *constants = reals(&reader, s), *state = reals(&reader, m);
+    const double *places = reals(&reader, 3 * n);
     double *emitted = results(&reader, n), *delay = results(&reader, n);
     int fits = 1;
     if (!complete(&reader, tag_s && sensor && position && bias && drift && since_s && sigma &&
@@ -1776,7 +1778,7 @@ static PyObject *departures(PyObject *self, PyObject *const *arguments, Size giv
         if (drift[place] >= 0)
             received -= constants[drift[place]] * sigma[drift[place]] * (tag_s[i] - since_s[place]);
         for (int j = 0; j < 3; j++) {
-            away[j] = state[j] - position[3 * sensor[i] + j];
+            away[j] = state[j] - (places ? places[3 * i + j] : position[3 * sensor[i] + j]);
             if (m > 3)
                 away[j] += (received - newest_s) * state[3 + j];
         }
@@ -1800,6 +1802,7 @@ typedef struct {
     const int64_t *sensor;
     const char *isotropic, *kept;
     const double *position, *axes, *since_s, *sigma, *walk_scale, *diffusion;
+    const double *row_position, *row_velocity, *row_axes, *row_axes_rate; /* where sensors move */
     const int64_t *bias, *drift, *walk;
     const double *hermite, *unit_root, *density, *scale;
     const double *path[2], *reference_path[2], *chains[2], *reference_chains[2];
@@ -1885,7 +1888,7 @@ static int count_entries(const Interval *own, Size *e, Size *f)
 }
 
 /* What families/bearings.py and states.py make of rows when a family is built: poses of sensors that
-   stand still, reciprocals of sigmas, and which row feels which state. */
+   stand still, reciprocals of sigmas, and which row feels which state. Walks are of directions. */
 static void lay_out_rows(const Interval *own, Room *room, Bearings *all)
 {
     int uniform = 1, whole_weight = 1;
@@ -1894,8 +1897,10 @@ static void lay_out_rows(const Interval *own, Room *room, Bearings *all)
         Size sensor = (Size)own->sensor[i], first = sensor * CHANNELS;
         int lone = isnan(own->elevation[i]), tangent = own->isotropic[i] && !lone;
         double level = lone ? 0.0 : own->elevation[i], received = 0.0;
-        memcpy(room->sensor_m + 3 * i, own->position + 3 * sensor, sizeof(double) * 3);
-        memcpy(room->axes + 9 * i, own->axes + 9 * sensor, sizeof(double) * 9);
+        if (own->row_position == NULL) {
+            memcpy(room->sensor_m + 3 * i, own->position + 3 * sensor, sizeof(double) * 3);
+            memcpy(room->axes + 9 * i, own->axes + 9 * sensor, sizeof(double) * 9);
+        }
         room->level[i] = level;
         room->tangent[i] = tangent;
         uniform &= tangent;
@@ -1961,9 +1966,11 @@ static int evaluate_rows(const Interval *own, Room *room)
     all.basis = room->pair;
     all.hermite = own->hermite;
     all.received_s = room->received;
-    all.sensor_m = room->sensor_m;
-    all.axes = room->axes;
-    all.sensor_velocity = room->velocity;
+    int moving = own->row_position != NULL;
+    all.sensor_m = moving ? own->row_position : room->sensor_m;
+    all.axes = moving ? own->row_axes : room->axes;
+    all.sensor_velocity = moving ? own->row_velocity : room->velocity;
+    all.axes_rate = own->row_axes_rate;
     all.azimuth = own->azimuth;
     all.elevation = own->elevation;
     all.white = room->white;
@@ -2186,6 +2193,10 @@ static PyObject *live_interval(PyObject *self, PyObject *const *arguments, Size 
     all.isotropic = flags(&reader, n);
     all.kept = flags(&reader, n);
     all.delay_s = reals(&reader, n);
+    all.row_position = reals(&reader, 3 * n);
+    all.row_velocity = reals(&reader, 3 * n);
+    all.row_axes = reals(&reader, 9 * n);
+    all.row_axes_rate = reals(&reader, 9 * n);
     Size m = 3 * order, d = m + walks, width = 2 * d + s + 1;
     for (int half = 0; half < 2; half++) {
         all.path[half] = reals(&reader, m);
@@ -2211,7 +2222,9 @@ static PyObject *live_interval(PyObject *self, PyObject *const *arguments, Size 
                 all.reference_path[1] && all.chains[0] && all.chains[1] && all.reference_chains[0] &&
                 all.reference_chains[1] && all.constants && all.reference && all.block &&
                 all.inverse && all.root && all.noise && all.at_path && all.at_chains &&
-                all.emitted_s && all.residual && order >= 1 && order <= MOST_ORDER;
+                all.emitted_s && all.residual &&
+                !all.row_position == !all.row_velocity && !all.row_position == !all.row_axes &&
+                order >= 1 && order <= MOST_ORDER;
     if (!complete(&reader, there)) {
         release(&reader);
         return NULL;

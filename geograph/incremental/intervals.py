@@ -1,9 +1,9 @@
-"""Intervals of bearings by sensors that stand still, linearised by one compiled call each.
+"""Intervals of bearings, linearised by one compiled call each.
 
 What :meth:`geograph.incremental.model.Model.linearise` does with dozens of small arrays, for the
 usual update: a few bearings in the last interval. Everything that does not change between updates,
-the sensors' places and axes, the columns of their errors, is laid out once for a model. What is not
-usual (other kinds of measurement, sensors that move, losses, correlated errors, signals that leave
+the places and axes of sensors that stand still, the columns of their errors, is laid out once for a
+model. What is not usual (other kinds of measurement, losses, correlated errors, signals that leave
 their interval) is left to that method, which is the reference for the numbers, too.
 """
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from geograph.frames import SensorGeometry
     from geograph.incremental.chain import Chain
     from geograph.incremental.model import Model
     from geograph.incremental.rows import Columns
@@ -62,8 +63,8 @@ class Seen:
 
 
 @dataclass(frozen=True, eq=False)
-class Still:
-    """Sensors that stand still, and their errors, as compiled code takes them.
+class Fixed:
+    """What stays the same of sensors and their errors, as compiled code takes it.
 
     Attributes
     ----------
@@ -71,8 +72,8 @@ class Still:
         The same arguments of every call.
     position, bias, drift, since_s, sigma
         Tables of the places and of the columns of the errors, for times of emission.
-    clock_walks
-        Whether clocks walk.
+    moving
+        Where sensors are, if any of them moves; None: their places are in the tables.
     """
 
     sizes: tuple[int, ...]
@@ -83,16 +84,22 @@ class Still:
     drift: NDArray[np.int64]
     since_s: NDArray[np.float64]
     sigma: NDArray[np.float64]
+    moving: SensorGeometry | None
 
     @classmethod
-    def of(cls, model: Model) -> Still | None:
+    def of(cls, model: Model) -> Fixed | None:
         """Return what belongs to a model; None where its bearings are not the usual ones."""
         if compiled is None or not _usual(model):
             return None
         prepared, order = model.prepared, model.motion.order
         states, sensors = prepared.states, len(prepared.sensors)
         every = np.arange(sensors)
-        poses = prepared.geometry.poses(every, np.zeros(sensors))
+        moving = bool(prepared.geometry.moves(every))
+        if moving:
+            position, axes = np.zeros((sensors, 3)), np.zeros((sensors, 3, 3))
+        else:
+            poses = prepared.geometry.poses(every, np.zeros(sensors))
+            position, axes = flat(poses.position_m), flat(poses.axes)
         # Nothing is reset: the tables have a row for each sensor.
         bias, drift = indices(states.bias_column), indices(states.drift_column)
         since, sigma = flat(states.since_s), flat(states.sigma)
@@ -108,34 +115,53 @@ class Still:
             ),
             tables=(
                 *map(flat, (hermite_coefficients(order), unit_noise_square_root(order))),
-                *map(flat, (model.path_scale, poses.position_m, poses.axes)),
+                *(flat(model.path_scale), position, axes),
                 *(bias, drift, since, sigma, indices(states.walk_column)),
                 *(flat(prepared.walk_scale), flat(states.diffusion)),
             ),
-            position=flat(poses.position_m),
+            position=position,
             bias=bias,
             drift=drift,
             since_s=since,
             sigma=sigma,
+            moving=prepared.geometry if moving else None,
         )
+
+    def received(self, chain: Chain, columns: Columns) -> NDArray[np.float64]:
+        """Return when signals were received, shape (n,), by the estimates of the clocks."""
+        tag, sensor = columns["time_s"], columns["sensor"]
+        bias, drift = self.bias[sensor, CLOCK], self.drift[sensor, CLOCK]
+        if max(bias.max(initial=-1), drift.max(initial=-1)) < 0:
+            return tag
+        value = np.append(chain.constants * self.sigma, 0.0)
+        return np.asarray(tag - value[bias] - value[drift] * (tag - self.since_s[sensor, CLOCK]))
+
+    def poses(self, chain: Chain, columns: Columns) -> tuple[NDArray[np.float64] | None, ...]:
+        """Return positions, velocities, axes and their rates for rows; nothing without movers."""
+        if self.moving is None or not columns["time_s"].size:
+            return None, None, None, None
+        found = self.moving.poses(columns["sensor"], self.received(chain, columns))
+        return found.position_m, found.velocity_m_s, found.axes, flat(found.axes_rate)
 
     def departures(self, chain: Chain, columns: Columns, speed_m_s: float) -> NDArray[np.float64]:
         """Return times of emission by the newest knot's estimate; fill in the signals' delays."""
         tag = columns["time_s"]
         emitted, delay = np.empty(tag.size), np.empty(tag.size)
-        newest = chain.path[-1]
+        newest, places = chain.path[-1], None
+        if self.moving is not None:
+            places = self.moving.places(columns["sensor"], self.received(chain, columns))
         compiled.departures(
             *(tag.size, newest.size, self.position.shape[0], self.sigma.size),
             *(chain.knots_s[-1], speed_m_s, tag, columns["sensor"], self.position),
             *(self.bias, self.drift, self.since_s, self.sigma, chain.constants, newest),
-            *(emitted, delay),
+            *(places, emitted, delay),
         )
         columns["delay_s"] = delay
         return emitted
 
 
 def _usual(model: Model) -> bool:
-    """Tell whether bearings are of sensors that stand still, and weigh by their sigmas alone."""
+    """Tell whether bearings weigh by their sigmas alone, and are on axes without aberration."""
     prepared, motion = model.prepared, model.motion
     states, channels = prepared.states, prepared.states.channels
     return bool(
@@ -149,8 +175,7 @@ def _usual(model: Model) -> bool:
         and not channels & {SPEED, MISALIGNMENT}
         and all(walk.channel <= ELEVATION for walk in states.walks)
         and not any(
-            sensor.trajectory is not None or sensor.axes == "radec" or sensor.refraction != "none"
-            for sensor in prepared.sensors
+            sensor.axes == "radec" or sensor.refraction != "none" for sensor in prepared.sensors
         )
     )
 
@@ -177,12 +202,12 @@ def linearise_intervals(model: Model, chain: Chain, touched: Sequence[int]) -> l
     FloatingPointError
         If a prediction or derivative is not finite.
     """
-    still = model.still
-    if still is None:
+    fixed = model.fixed
+    if fixed is None:
         return None
     made = []
     for k in touched:
-        found = interval(model, still, chain, k)
+        found = interval(model, fixed, chain, k)
         if found is None:
             return None
         made.append(found)
@@ -192,7 +217,7 @@ def linearise_intervals(model: Model, chain: Chain, touched: Sequence[int]) -> l
     return [seen for _, seen in made]
 
 
-def interval(model: Model, still: Still, chain: Chain, k: int) -> tuple[Piece, Seen] | None:
+def interval(model: Model, fixed: Fixed, chain: Chain, k: int) -> tuple[Piece, Seen] | None:
     """Return an interval linearised; None if it holds other rows than bearings emitted in it."""
     rows = chain.pieces[k].rows
     columns = rows.get("bearings", _NONE)
@@ -207,12 +232,13 @@ def interval(model: Model, still: Still, chain: Chain, k: int) -> tuple[Piece, S
     at_path, at_chains, emitted = np.empty((2, m)), np.empty((2, d - m)), np.empty(size)
     done = compiled.live_interval(
         size,
-        *still.sizes,
-        *still.numbers,
-        *still.tables,
+        *fixed.sizes,
+        *fixed.numbers,
+        *fixed.tables,
         model.density(start),
         *(low, high, start, end),
         *(columns[name] for name in _COLUMNS),
+        *fixed.poses(chain, columns),
         *(path[k], chain.reference_path[k], chains[k], chain.reference_chains[k]),
         *(path[k + 1], chain.reference_path[k + 1], chains[k + 1], chain.reference_chains[k + 1]),
         *(chain.constants, chain.reference),
