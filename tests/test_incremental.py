@@ -150,6 +150,15 @@ def test_random_order_and_duplicates_change_nothing(lag):
     assert feeding.newest_sigmas(estimate, batch) < (NEAR if lag is None else NEWEST)
 
 
+def test_an_azimuth_alone_that_comes_again_is_named():
+    table = small_pass(1).bearings
+    table = replace(table, elevation_rad=np.full(len(table), np.nan))
+    smoother = gg.IncrementalSmoother.of(small_pass(1))
+    smoother.update(feeding.take(table, np.arange(4)))
+    estimate = smoother.update(feeding.take(table, np.arange(2, 6)))
+    assert [name.line for name in estimate.duplicates] == table.line[2:4].tolist()
+
+
 def test_silent_and_late_sensors_and_a_gap():
     recording = small_pass(2)
     table = recording.bearings

@@ -151,6 +151,10 @@ def numbered_table(kind: str, columns: Columns) -> Measurements:
 def keys(kind: str, columns: Columns) -> list[tuple[Any, ...]]:
     """Return what tells rows apart: everything that was measured, but not the line."""
     parts = [column.tolist() for name, column in columns.items() if name not in _IDENTITY]
+    for place, name in enumerate(name for name in columns if name not in _IDENTITY):
+        if name in _MAY_BE_MISSING and np.isnan(columns[name]).any():
+            # What is not a number is not equal to itself.
+            parts[place] = [None if value != value else value for value in parts[place]]
     return [(kind, *values) for values in zip(*parts, strict=True)]
 
 
