@@ -56,7 +56,7 @@ def random_chain(seed, kind):
         motion=problem.motion,
         prior=problem.prior,
         path_scale=problem.path_scale,
-        loss=Loss("none"),
+        loss=Loss(["none", "huber", "cauchy", "geman-mcclure"][seed % 4]),
         shift=None,
         spacing_s=200.0,
         between=False,
@@ -77,6 +77,8 @@ usual_kinds = st.builds(
     lambda kind, motion: dataclasses.replace(
         made_possible(kind),
         motion=motion,
+        # Slow signals over 300 km leave the knots.
+        speed_m_s=kind.speed_m_s if kind.frame == "local" else max(kind.speed_m_s, 299792458.0),
         **dict.fromkeys(
             ("along", "constraints", "clock_walks", "position_noise", "outside", "body",
              "radec"), False,
@@ -100,12 +102,15 @@ def test_an_interval_is_that_of_the_families(seed, kind):
     if kind.speed_m_s < 1e6 and not isinstance(seen[0], intervals.Seen):
         return  # A slow signal was emitted in another interval: that is left to NumPy.
     assert all(isinstance(part, intervals.Seen) for part in seen)
-    in_numpy(lambda: model.linearise(reference, every))
+    # Not in NumPy (tests/test_kernels.py does that), which finds emissions to a microsecond for all
+    # rows together. Walks are read there, in either.
+    model.linearise(reference, every)
+    rtol = 1e-6 if kind.walks else 1e-9
     for piece, other in zip(ours.pieces, reference.pieces, strict=True):
         for kind_, columns in piece.rows.items():
             assert np.array_equal(columns["ident"], other.rows[kind_]["ident"])
         for name in ("block", "inverse", "root", "noise", "path", "chains", "constants"):
-            alike(getattr(piece, name), getattr(other, name), name)
+            alike(getattr(piece, name), getattr(other, name), name, rtol)
 
     def solved(chain):
         chain.behind = 0
@@ -116,7 +121,9 @@ def test_an_interval_is_that_of_the_families(seed, kind):
         limits = Limits(*(np.full(n, 0.3) for n in (model.motion.order, chain.chains[0].size)),
                         *(np.full(chain.constants.size, 0.1) for _ in range(2)))  # fmt: skip
         return [*chain.forward, *chain.other, *chain.back, *chain.spread, step, covariance, path,
-                np.array(chain.chains), chain.constants, limits.moved(chain, 0)]  # fmt: skip
+                # Beside what they are counted from: a sum of two that cancel has its digits.
+                np.array([*chain.chains, *chain.reference_chains]), chain.constants,
+                limits.moved(chain, 0)]  # fmt: skip
 
     # The same pieces: what is left is how they are solved.
     reference.pieces = list(ours.pieces)

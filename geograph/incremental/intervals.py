@@ -3,8 +3,8 @@
 What :meth:`geograph.incremental.model.Model.linearise` does with dozens of small arrays, for the
 usual update: a few bearings in the last interval. Everything that does not change between updates,
 the places and axes of sensors that stand still, the columns of their errors, is laid out once for a
-model. What is not usual (other kinds of measurement, losses, correlated errors, signals that leave
-their interval) is left to that method, which is the reference for the numbers, too.
+model. What is not usual (other kinds of measurement, correlated errors, signals that leave their
+interval) is left to that method, which is the reference for the numbers, too.
 """
 
 from __future__ import annotations
@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 # newest knot stands at an emission, which the next estimate moves by nanoseconds: the path beyond
 # a knot is the same to rounding so near to it.
 WITHIN = 1e-5
+
+# As compiled code counts them.
+_LOSSES = ("none", "huber", "cauchy", "geman-mcclure")
 
 _COLUMNS = (
     *("time_s", "sensor", "azimuth_rad", "elevation_rad", "sigma_azimuth_rad"),
@@ -108,10 +111,11 @@ class Fixed:
             sizes=(
                 *(order, sensors, states.size, len(states.walks), int(CLOCK in states.channels)),
                 *(int(ELEVATION in states.channels), LIGHT_TIME_ROUNDS),
+                _LOSSES.index(model.loss.name),
             ),
             numbers=(
                 *(speed, frame_spin_rad_s(prepared.geometry.frame)),
-                *(light_time_tolerance_s(speed), ZENITH),
+                *(light_time_tolerance_s(speed), ZENITH, model.loss.tuning),
             ),
             tables=(
                 *map(flat, (hermite_coefficients(order), unit_noise_square_root(order))),
@@ -161,7 +165,7 @@ class Fixed:
 
 
 def _usual(model: Model) -> bool:
-    """Tell whether bearings weigh by their sigmas alone, and are on axes without aberration."""
+    """Tell whether bearings are not correlated, and on axes without aberration or refraction."""
     prepared, motion = model.prepared, model.motion
     states, channels = prepared.states, prepared.states.channels
     return bool(
@@ -169,7 +173,6 @@ def _usual(model: Model) -> bool:
         and all(held.constant for _, held in model.earlier)
         and not motion.static
         and motion.forces is None
-        and model.loss.name == "none"
         and not (model.whole or model.between or model.noisy or model.correlated)
         and not (states.platforms or states.stretches.any)
         and not channels & {SPEED, MISALIGNMENT}

@@ -8,6 +8,7 @@ asked about one that does not count) and ``delay_s`` (about how long its signal 
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from math import isnan
 from typing import TYPE_CHECKING, Any, Final, get_args
 
 import numpy as np
@@ -154,7 +155,7 @@ def keys(kind: str, columns: Columns) -> list[tuple[Any, ...]]:
     for place, name in enumerate(name for name in columns if name not in _IDENTITY):
         if name in _MAY_BE_MISSING and np.isnan(columns[name]).any():
             # What is not a number is not equal to itself.
-            parts[place] = [None if value != value else value for value in parts[place]]
+            parts[place] = [None if isnan(value) else value for value in parts[place]]
     return [(kind, *values) for values in zip(*parts, strict=True)]
 
 

@@ -1796,8 +1796,8 @@ static PyObject *departures(PyObject *self, PyObject *const *arguments, Size giv
 /* One interval of a chain, with the rows of bearings in it. */
 typedef struct {
     Size n, order, sensors, s, walks;
-    int clocked, level_noise, rounds;
-    double speed_m_s, spin_rad_s, enough_s, zenith, low_s, high_s, knots_s[2];
+    int clocked, level_noise, rounds, loss;
+    double speed_m_s, spin_rad_s, enough_s, zenith, tuning, low_s, high_s, knots_s[2];
     const double *time_s, *azimuth, *elevation, *sigma_azimuth, *sigma_elevation, *delay_s;
     const int64_t *sensor;
     const char *isotropic, *kept;
@@ -1887,11 +1887,28 @@ static int count_entries(const Interval *own, Size *e, Size *f)
     return 1;
 }
 
+/* losses.py: the weight of a squared residual. */
+enum { NO_LOSS = 0, HUBER = 1, CAUCHY = 2, GEMAN_MCCLURE = 3 };
+
+static double weight_of(int loss, double tuning, double square)
+{
+    double scale = tuning * tuning;
+    if (loss == HUBER)
+        return square > scale ? tuning / sqrt(square) : 1.0;
+    if (loss == CAUCHY)
+        return 1.0 / (1.0 + square / scale);
+    if (loss == GEMAN_MCCLURE) {
+        double share = scale / (scale + square);
+        return share * share;
+    }
+    return 1.0;
+}
+
 /* What families/bearings.py and states.py make of rows when a family is built: poses of sensors that
    stand still, reciprocals of sigmas, and which row feels which state. Walks are of directions. */
 static void lay_out_rows(const Interval *own, Room *room, Bearings *all)
 {
-    int uniform = 1, whole_weight = 1;
+    int uniform = 1;
     Size e = 0, f = 0;
     for (Size i = 0; i < own->n; i++) {
         Size sensor = (Size)own->sensor[i], first = sensor * CHANNELS;
@@ -1910,7 +1927,6 @@ static void lay_out_rows(const Interval *own, Room *room, Bearings *all)
             /* At the zenith a coordinate's azimuth says nothing, however small its sigma. */
             room->white[2 * i] = 0.0;
         room->weight[i] = own->kept[i] ? 1.0 : 0.0;
-        whole_weight &= own->kept[i] != 0;
         for (int drift = 0; drift < 2; drift++)
             for (Size channel = 0; channel < CHANNELS; channel++) {
                 int64_t column = (drift ? own->drift : own->bias)[first + channel];
@@ -1942,8 +1958,6 @@ static void lay_out_rows(const Interval *own, Room *room, Bearings *all)
     all->f = f;
     all->tangent = uniform ? NULL : room->tangent;
     all->noise_elevation = own->level_noise ? room->level : NULL;
-    if (whole_weight)
-        room->weight = NULL;
 }
 
 /* Evaluate the rows of an interval, and add them up in "block". */
@@ -2015,6 +2029,14 @@ static int evaluate_rows(const Interval *own, Room *room)
         memcpy(room->walk_time, own->emitted_s, sizeof(double) * (size_t)own->n);
         bearings_all(&all);
     }
+    int all_count = 1;
+    for (Size i = 0; i < own->n; i++) {
+        const double *miss = own->residual + 2 * i;
+        if (own->loss != NO_LOSS && room->weight[i] > 0.0)
+            room->weight[i] = sqrt(
+                weight_of(own->loss, own->tuning, miss[0] * miss[0] + miss[1] * miss[1]));
+        all_count &= room->weight[i] == 1.0;
+    }
     Blocks sums;
     memset(&sums, 0, sizeof sums);
     sums.n = own->n;
@@ -2037,7 +2059,7 @@ static int evaluate_rows(const Interval *own, Room *room)
     sums.before = room->before;
     sums.after = room->after;
     sums.by_walks = room->by_walks;
-    sums.weight = room->weight;
+    sums.weight = all_count ? NULL : room->weight;
     sums.interval = room->interval;
     sums.constant_row = room->row;
     sums.constant_column = room->column;
@@ -2163,10 +2185,12 @@ static PyObject *live_interval(PyObject *self, PyObject *const *arguments, Size 
     all.clocked = (int)whole(&reader);
     all.level_noise = (int)whole(&reader);
     all.rounds = (int)whole(&reader);
+    all.loss = (int)whole(&reader);
     all.speed_m_s = number(&reader);
     all.spin_rad_s = number(&reader);
     all.enough_s = number(&reader);
     all.zenith = number(&reader);
+    all.tuning = number(&reader);
     all.hermite = reals(&reader, 4 * order * order);
     all.unit_root = reals(&reader, order * order);
     all.scale = reals(&reader, 3 * order);
