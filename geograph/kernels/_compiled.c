@@ -1808,7 +1808,7 @@ typedef struct {
     const double *path[2], *reference_path[2], *chains[2], *reference_chains[2];
     const double *constants, *reference;
     double *block, *inverse, *root, *noise, *at_path, *at_chains, *emitted_s, *residual;
-} Interval;
+} LiveInterval;
 
 /* Work of an interval: everything in one piece of memory. */
 typedef struct {
@@ -1817,7 +1817,7 @@ typedef struct {
     double *by_walks, *chains, *pair, *others, *ahead;
     int64_t *interval, *row, *channel, *column, *walk_row, *walk_channel, *walk_column;
     Size *index;
-} Room;
+} LiveRoom;
 
 static double *carve(double **free, Size count)
 {
@@ -1827,7 +1827,7 @@ static double *carve(double **free, Size count)
 }
 
 /* Make room for an interval; NULL without memory. All that is held has eight bytes. */
-static double *room_for(const Interval *own, Size e, Size f, Room *room)
+static double *live_room(const LiveInterval *own, Size e, Size f, LiveRoom *room)
 {
     Size n = own->n, d = 3 * own->order + own->walks, c = own->s + 1, order = own->order;
     Size reals = n * (3 + 9 + 3 + 2 + 1 + 1 + 1 + 1 + 2 * order + 6 + 1 + 1 + 1) + 3 * e + 5 * f +
@@ -1869,7 +1869,7 @@ static double *room_for(const Interval *own, Size e, Size f, Room *room)
 }
 
 /* Count the entries of the derivatives by constants and walks; 0 if an index is out of range. */
-static int count_entries(const Interval *own, Size *e, Size *f)
+static int count_entries(const LiveInterval *own, Size *e, Size *f)
 {
     *e = *f = 0;
     for (Size i = 0; i < own->n; i++) {
@@ -1906,7 +1906,7 @@ static double weight_of(int loss, double tuning, double square)
 
 /* What families/bearings.py and states.py make of rows when a family is built: poses of sensors that
    stand still, reciprocals of sigmas, and which row feels which state. Walks are of directions. */
-static void lay_out_rows(const Interval *own, Room *room, Bearings *all)
+static void lay_out_rows(const LiveInterval *own, LiveRoom *room, Bearings *all)
 {
     int uniform = 1;
     Size e = 0, f = 0;
@@ -1961,7 +1961,7 @@ static void lay_out_rows(const Interval *own, Room *room, Bearings *all)
 }
 
 /* Evaluate the rows of an interval, and add them up in "block". */
-static int evaluate_rows(const Interval *own, Room *room)
+static int evaluate_rows(const LiveInterval *own, LiveRoom *room)
 {
     Size order = own->order, m = 3 * order, d = m + own->walks, c = own->s + 1;
     Bearings all;
@@ -2080,7 +2080,7 @@ static int evaluate_rows(const Interval *own, Room *room)
 
 /* Fill in the rest of a whole block, and write it about the chain's reference: 0 if it is not
    finite. */
-WIDE static int refer(const Interval *own, Room *room)
+WIDE static int refer(const LiveInterval *own, LiveRoom *room)
 {
     Size m = 3 * own->order, d = m + own->walks, c = own->s + 1, width = 2 * d + c;
     double *block = own->block, *ahead = room->ahead, total = 0.0;
@@ -2117,7 +2117,7 @@ WIDE static int refer(const Interval *own, Room *room)
 }
 
 /* incremental/model.py: _transitions, of motions whose transitions are the same everywhere. */
-static void follow(const Interval *own)
+static void follow(const LiveInterval *own)
 {
     Size m = 3 * own->order, d = m + own->walks;
     double step = own->knots_s[1] - own->knots_s[0];
@@ -2143,13 +2143,13 @@ static void follow(const Interval *own)
 }
 
 /* 1: done; 0: rows are elsewhere; -1: not finite; -2: no memory; -3: out of range. */
-static int linearise_interval(const Interval *own)
+static int linearise_interval(const LiveInterval *own)
 {
     Size m = 3 * own->order, d = m + own->walks, width = 2 * d + own->s + 1, e, f;
     if (!count_entries(own, &e, &f))
         return -3;
-    Room room;
-    double *memory = room_for(own, e, f, &room);
+    LiveRoom room;
+    double *memory = live_room(own, e, f, &room);
     if (memory == NULL)
         return -2;
     int found = 1;
@@ -2177,7 +2177,7 @@ static PyObject *live_interval(PyObject *self, PyObject *const *arguments, Size 
 {
     (void)self;
     Reader reader;
-    Interval all;
+    LiveInterval all;
     start(&reader, arguments, given);
     Size n = all.n = whole(&reader), order = all.order = whole(&reader);
     Size sensors = all.sensors = whole(&reader), s = all.s = whole(&reader);
@@ -2268,19 +2268,6 @@ static PyObject *live_interval(PyObject *self, PyObject *const *arguments, Size 
 }
 
 /* incremental/chain.py: one interval of a sweep, which adds to what is known of the constants. */
-WIDE static int eliminate_one(const Sweep *all, const double *block, const double *known,
-                              double *work)
-{
-    Size d = all->d, c = all->c, width = 2 * d + c;
-    for (Size i = 0; i < c; i++)
-        for (Size j = 0; j < c; j++)
-            all->shares[i * c + j] = known[i * c + j] + block[(2 * d + i) * width + 2 * d + j];
-    if (!sweep_step(all, 0, all->knot, all->knots, all->shares, work))
-        return 0;
-    mirror(c, all->shares);
-    return 1;
-}
-
 static PyObject *live_eliminate(PyObject *self, PyObject *const *arguments, Size given)
 {
     (void)self;
@@ -2308,14 +2295,20 @@ static PyObject *live_eliminate(PyObject *self, PyObject *const *arguments, Size
         release(&reader);
         return NULL;
     }
-    double *work = malloc(sizeof(double) * (size_t)(6 * d * d + 6 * d * w + 1));
+    Size working = 6 * d * d + 6 * d * w + 1;
+    double *work = malloc(sizeof(double) * (size_t)(working + c * c));
     if (work == NULL) {
         release(&reader);
         return PyErr_NoMemory();
     }
     int good;
     Py_BEGIN_ALLOW_THREADS
-    good = eliminate_one(&all, block, known, work);
+    double *others = work + working;
+    for (Size i = 0; i < c; i++)
+        for (Size j = 0; j < c; j++)
+            others[i * c + j] = known[i * c + j] + block[(2 * d + i) * width + 2 * d + j];
+    all.others = others;
+    good = sweep_all(&all, work);
     Py_END_ALLOW_THREADS
     free(work);
     release(&reader);
