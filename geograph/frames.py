@@ -7,6 +7,7 @@ degrees, in the recording's frame (see :mod:`geograph.factors.bearing`).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -174,6 +175,14 @@ class SensorGeometry:
             rate = np.zeros_like(axes) if rate is None else rate
             axes[rows], rate[rows] = self.celestial.at(time_s[rows])
         return SensorPoses(position, velocity, axes, rate)
+
+    @cached_property
+    def at_rest(self) -> SensorPoses | None:
+        """Poses of all sensors in their order, if none moves or turns; otherwise None."""
+        if self._movers or self.against_stars.any():
+            return None
+        every = np.arange(len(self.sensors))
+        return self.poses(every, np.zeros(every.size))
 
     def stars(
         self, sensor: NDArray[np.int64], time_s: NDArray[np.float64]

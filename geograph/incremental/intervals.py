@@ -96,12 +96,9 @@ class Fixed:
             return None
         prepared, order = model.prepared, model.motion.order
         states, sensors = prepared.states, len(prepared.sensors)
-        every = np.arange(sensors)
-        moving = bool(prepared.geometry.moves(every))
-        if moving:
-            position, axes = np.zeros((sensors, 3)), np.zeros((sensors, 3, 3))
-        else:
-            poses = prepared.geometry.poses(every, np.zeros(sensors))
+        position, axes = np.zeros((sensors, 3)), np.zeros((sensors, 3, 3))
+        poses = prepared.geometry.at_rest
+        if poses is not None:
             position, axes = flat(poses.position_m), flat(poses.axes)
         # Nothing is reset: the tables have a row for each sensor.
         bias, drift = indices(states.bias_column), indices(states.drift_column)
@@ -128,7 +125,7 @@ class Fixed:
             drift=drift,
             since_s=since,
             sigma=sigma,
-            moving=prepared.geometry if moving else None,
+            moving=prepared.geometry if poses is None else None,
         )
 
     def received(self, chain: Chain, columns: Columns) -> NDArray[np.float64]:
