@@ -125,8 +125,12 @@ def limits(model: Model, chain: Chain, total_rows: int) -> Limits:
     families = list(model.families(rows))
     allowed = TOLERANCE / np.sqrt(max(total_rows, 1))
 
+    # Else all that families hold fixed is when walks are read, which no such step moves.
+    noise_changes = model.between or model.noisy
+
     def residual(at: Values) -> NDArray[np.float64]:
-        found = model.evaluate_families(families, path, at, low, jacobian=False)
+        renew = noise_changes or at is values
+        found = model.evaluate_families(families, path, at, low, jacobian=False, refresh=renew)
         return np.concatenate([_weighted(model, part) for part in found] or [np.zeros(1)])
 
     here = residual(values)

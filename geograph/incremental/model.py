@@ -247,12 +247,16 @@ class Model:
         *,
         loss: Loss | None = None,
         jacobian: bool = True,
+        refresh: bool = True,
     ) -> list[Measured]:
-        """Evaluate families made before; see :meth:`evaluate`."""
+        """Evaluate families made before; see :meth:`evaluate`.
+
+        Without ``refresh``, what they hold fixed is that of the last evaluation.
+        """
         state = path.at_state(values.path, jacobian=jacobian)
         result = []
         for kind, columns, family in families:
-            if self.refreshed:
+            if self.refreshed and refresh:
                 self.refresh(family, path, values)
             order = getattr(family, "order", None)
             if order is None:
