@@ -6,8 +6,7 @@ at once, or interval by interval as measurements arrive (:mod:`geograph.incremen
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -247,17 +246,20 @@ class Ends:
         self.half_log, self.square = found.half_log, found.square
         self._found = found
 
-    @cached_property
+    @property
     def turned_back(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """``back`` and ``spread`` of :class:`Sweep`."""
         found = self._found
-        if not found.gain.size:
-            return found.back, found.spread
-        count, d, width = found.gain.shape
-        back, spread = np.empty((count, d, width)), np.empty((count, d, d))
-        arrays = map(flat, (*self._by, found.inverse_roots, found.gain))
-        compiled.turn_back(count, d, width - d, *arrays, back, spread)
-        return back, spread
+        if found.gain.size:
+            count, d, width = found.gain.shape
+            back, spread = np.empty((count, d, width)), np.empty((count, d, d))
+            arrays = map(flat, (*self._by, found.inverse_roots, found.gain))
+            compiled.turn_back(count, d, width - d, *arrays, back, spread)
+            # What they were made of goes: it is as large as they are.
+            none = found.inverse_roots[:0].copy(), found.gain[:0].copy()
+            found = replace(found, back=back, spread=spread, inverse_roots=none[0], gain=none[1])
+            self._found = found
+        return found.back, found.spread
 
     def substitute(
         self, last: NDArray[np.float64], constants: NDArray[np.float64]

@@ -121,7 +121,10 @@ def test_sweep_back_substitution_and_marginals(count, d, s):
     def ends():
         found = sweep.Ends(knot, **system, damping=0.3)
         steps = found.substitute(last, constants)
-        return (found.knot, found.share, found.half_log, found.square, steps, *found.turned_back)
+        both = found.turned_back
+        # By another way, once these are there.
+        alike(found.substitute(last, constants), steps, "substitute")
+        return (found.knot, found.share, found.half_log, found.square, steps, *both)
 
     for found, other in zip(ends(), in_numpy(ends), strict=True):
         alike(found, other, "ends")
