@@ -18,7 +18,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import least_squares
 
@@ -28,10 +27,10 @@ from geograph.constants import (
     EARTH_ROTATION_RAD_S,
     SPEED_OF_LIGHT_M_S,
 )
-from geograph.factors.gravity import total_acceleration
 from geograph.factors.light_time import turn_to_reception
 from geograph.initialise import PathFit
 from geograph.orbit_arcs import along, lambert
+from geograph.shooting import fall
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,6 +54,8 @@ _MISFIT = 10.0
 _DOUBTFUL = 1.5
 # From so many sigmas down a trial is fitted to its end.
 _PROMISING = 300.0
+# Orbits through the first directions that may try to take up the others.
+_GROWN = 4
 # From so many directions on, what fits is the orbit, and no other one fits better by chance.
 _MANY = 50
 
@@ -87,31 +88,77 @@ def orbit_fits(finder: FirstGuess, forces: Forces | None = None) -> list[PathFit
         return []
     span = max(_FIRST_S, float(times[min(_FIRST_TIMES, times.size) - 1]) - start)
     early = lines.time_s <= start + span
-    best: tuple[float, NDArray[np.float64]] | None = None
+    found: list[_Fit] = []
     for search in (_circles, _arcs):
         for state in search(_early(lines, start, early)):
-            found = _fitted(lines, start, state, early, forces, most=_TRIAL_STEPS)
-            if found[0] < _PROMISING:
-                found = _fitted(lines, start, found[1], early, forces)
-            if best is None or found[0] < best[0]:
-                best = found
-            if best[0] < _DOUBTFUL and early.sum() >= _MANY:
-                break
-        if best is not None and best[0] < _DOUBTFUL:
-            break
-    if best is None:
-        return []
-    while start + span < last:
-        span *= _GROWTH
-        best = _fitted(lines, start, best[1], lines.time_s <= start + span, forces)
-    if best[0] > _MISFIT:
-        return []
+            fit = _fitted(lines, start, state, early, most=_TRIAL_STEPS)
+            if fit.misfit < _PROMISING:
+                found.append(_whole_fit(lines, start, fit, early, forces))
+                if found[-1].misfit < _DOUBTFUL and early.sum() >= _MANY:
+                    break
+        found.sort(key=lambda fit: fit.misfit)
+        # By chance a wrong orbit meets few directions well, but not as well as the right one.
+        if search is _circles and not (found and found[0].misfit < _good(early)):
+            continue
+        for fit in found[:_GROWN]:
+            best = _grown(lines, start, span, fit, forces)
+            if best is not None:
+                return [_path(lines, start, last, best, clock)]
+        found.clear()
+    return []
+
+
+def _good(rows: NDArray[np.bool_]) -> float:
+    """Return the misfit up to which nothing speaks against an orbit through so many directions.
+
+    Two standard deviations of the robust scale of as many white residuals (1.17 over the root of
+    their number, of which a direction has two).
+    """
+    return min(_DOUBTFUL, 1.0 + 2.0 * 1.17 / float(np.sqrt(2.0 * rows.sum())))
+
+
+def _grown(
+    lines: Lines, start_s: float, span_s: float, best: _Fit, forces: Forces | None
+) -> _Fit | None:
+    """Return an orbit that has taken up all directions, or None where it does not meet them."""
+    last = float(lines.time_s.max())
+    while start_s + span_s < last:
+        span_s *= _GROWTH
+        best = _whole_fit(lines, start_s, best, lines.time_s <= start_s + span_s, forces)
+        if best.misfit > _PROMISING:
+            return None
+    return best if best.misfit <= _MISFIT else None
+
+
+def _path(
+    lines: Lines, start: float, last: float, best: _Fit, clock: NDArray[np.float64]
+) -> PathFit:
+    """Return an orbit as a spline."""
     count = max(int(np.ceil((last - start) / _SPLINE_S)), 6)
     time = np.linspace(start - 1.0, last + 1.0, count + 1)
-    positions = _fall(best[1], start, time, forces)[0][:, :3]
+    positions = fall(best.state, start, time, best.forces)[0][:, :3]
     spline = make_interp_spline(time, positions, k=5)
     distance = np.linalg.norm(spline(lines.time_s) - lines.sensor_m, axis=1)
-    return [PathFit(spline, clock, 0.0, float(np.median(distance)), 0.0)]
+    return PathFit(spline, clock, 0.0, float(np.median(distance)), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """An orbit through some directions.
+
+    Attributes
+    ----------
+    misfit
+        Robust root mean square residual, in sigmas.
+    state
+        At the start, ECEF, with the forces' unknowns behind it.
+    forces
+        What it was fitted with, beside gravity.
+    """
+
+    misfit: float
+    state: NDArray[np.float64]
+    forces: Forces | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,56 +299,23 @@ def _circles(early: _Early) -> list[NDArray[np.float64]]:
     return [state for _, state in found[:_CIRCLES]]
 
 
-def _fall(
-    state: NDArray[np.float64],
+def _whole_fit(
+    lines: Lines,
     start_s: float,
-    time_s: NDArray[np.float64],
-    forces: Forces | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return states at times, shape (n, 6), and derivatives by the first, shape (n, 6, 6 + e).
+    best: _Fit,
+    rows: NDArray[np.bool_],
+    forces: Forces | None,
+) -> _Fit:
+    """Return a fit of free fall, or with the forces where that one is not good, or was not.
 
-    Parameters
-    ----------
-    state
-        Shape (6 + e,): at the start, ECEF, with the forces' unknowns.
-    start_s, time_s
-        The start, and times, shape (n,), seconds.
-    forces
-        What acts beside gravity.
+    Free fall is propagated a hundred times as quickly, and most forces move an object by less than
+    its first guess has to be good for.
     """
-    size = state.size
-    unknown = state[6:]
-
-    def rates(now_s: float, packed: NDArray[np.float64]) -> NDArray[np.float64]:
-        x, phi = packed[:6], packed[6:].reshape(6, size)
-        value, by_position, by_velocity, by_unknown = total_acceleration(
-            np.concatenate([x, unknown])[None], np.array([now_s]), "ecef", 4, forces
-        )
-        lower = by_position[0] @ phi[:3] + by_velocity[0] @ phi[3:]
-        lower[:, 6:] += by_unknown[0]
-        return np.concatenate([x[3:], value[0], phi[3:].ravel(), lower.ravel()])
-
-    order, inverse = np.unique(time_s, return_inverse=True)
-    result = np.empty((order.size, 6 + 6 * size))
-    packed = np.concatenate([state[:6], np.eye(6, size).ravel()])
-    for later in (True, False):
-        rows = np.flatnonzero(order >= start_s if later else order < start_s)
-        if not rows.size:
-            continue
-        rows = rows if later else rows[::-1]
-        end = order[rows[-1]] + (1.0 if later else -1.0)
-        solved = solve_ivp(
-            rates,
-            (start_s, end),
-            packed,
-            method="DOP853",
-            t_eval=order[rows],
-            rtol=1e-10,
-            atol=1e-4,
-        )
-        result[rows] = solved.y.T if solved.y.shape[1] == rows.size else np.nan
-    whole = result[inverse]
-    return whole[:, :6], whole[:, 6:].reshape(-1, 6, size)
+    if best.forces is None:
+        best = _fitted(lines, start_s, best.state, rows)
+        if forces is None or best.misfit < _DOUBTFUL:
+            return best
+    return _fitted(lines, start_s, best.state, rows, forces)
 
 
 def _fitted(
@@ -312,8 +326,8 @@ def _fitted(
     forces: Forces | None = None,
     *,
     most: int = _STEPS,
-) -> tuple[float, NDArray[np.float64]]:
-    """Return the orbit through some directions and its root mean square residual, in sigmas.
+) -> _Fit:
+    """Return the orbit through some directions.
 
     The forces' unknowns, behind the state, are held by their priors.
     """
@@ -327,7 +341,9 @@ def _fitted(
         key = x.tobytes()
         if key not in kept:
             kept.clear()
-            states, jacobian = _fall(x, start_s, time, forces)
+            with np.errstate(all="ignore"):
+                # A trial may lead through the Earth's centre; what is not finite is told below.
+                states, jacobian = fall(x, start_s, time, forces)
             # The object was farther back when the light left, in axes that do not turn.
             inertial = states[:, 3:] + np.cross(_SPIN, states[:, :3])
             delay = np.linalg.norm(states[:, :3] - place, axis=1) / SPEED_OF_LIGHT_M_S
@@ -360,4 +376,4 @@ def _fitted(
         max_nfev=most,
     )
     residual = evaluate(solved.x)[0]
-    return float(np.sqrt(np.median(residual**2)) / 0.6745), solved.x
+    return _Fit(float(np.sqrt(np.median(residual**2)) / 0.6745), solved.x, forces)
