@@ -186,7 +186,10 @@ def trace(
     light_time_s
         Shape (n,): where to start from; None: from zero.
     """
-    tau = np.zeros(position_m.shape[0]) if light_time_s is None else light_time_s
+    tau = np.zeros(position_m.shape[0])
+    if light_time_s is not None:
+        # What a path that ran off left behind is no start.
+        tau = np.where(np.isfinite(light_time_s), light_time_s, 0.0)
     for _ in range(_ROUNDS):
         sensor = sensor_at(tau)
         turned = turn_to_reception(position_m, tau, spin_rad_s)

@@ -214,8 +214,11 @@ class BlockSum:
         root_weight
             Shape (n,): square roots of the loss's weights, or None for ones.
         """
-        if compiled is not None and found.common is None:
-            self._add_compiled(total, found, root_weight)
+        if compiled is not None:
+            if found.common is None:
+                self._add_compiled(total, found, root_weight)
+            else:
+                self._add_shared(total, found, found.common, root_weight)
             return
         self._plan(found)
         rows, width = found.residual.shape[1], self.layout.width
@@ -256,6 +259,39 @@ class BlockSum:
             flat(found.walk_after),
             flat(found.by_walks),
             flat(root_weight),
+        )
+
+    def _add_shared(
+        self,
+        total: Sums,
+        found: Evaluation,
+        common: Common,
+        root_weight: NDArray[np.float64] | None,
+    ) -> None:
+        """Do the same where measurements share unknowns."""
+        layout = self.layout
+        compiled.add_shared(
+            *(total.knots.shape[0], total.others.shape[0]),
+            *(layout.path, layout.walks, layout.constants, int(layout.chained)),
+            *(found.residual.shape[0], common.start.size),
+            *(found.constant_row.size, found.walk_row.size),
+            *(total.knots, total.others),
+            flat(found.residual),
+            indices(found.interval),
+            flat(found.by_knots),
+            self._knots_scale[0],
+            indices(found.constant_row),
+            indices(found.constant_column),
+            flat(found.by_constants),
+            indices(found.walk_row),
+            indices(found.walk_column),
+            flat(found.walk_before),
+            flat(found.walk_after),
+            flat(found.by_walks),
+            flat(root_weight),
+            indices(common.start),
+            flat(common.by_common),
+            flat(common.information),
         )
 
     def _fill(

@@ -155,6 +155,10 @@ class Trajectory:
         velocity = (3.0 * third * offset + 2.0 * second) * offset + first
         return position, velocity, 6.0 * third * offset + 2.0 * second
 
+    def pieces(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return edges (p,) and coefficients (p, 4, 3) of :class:`geograph.frames.SensorPieces`."""
+        return self._spline.x[:-1], np.swapaxes(self._spline.c, 0, 1)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sensor:

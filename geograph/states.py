@@ -508,14 +508,25 @@ class SensorErrorTerms:
         )
         value = np.asarray(summed, dtype=np.float64).reshape(self.count, CHANNELS)
         if chains is not None and share is not None and self.chains.row.size:
-            entries = self.chains
-            at = share.interval[entries.row]
-            read = (
-                share.before * chains[at, entries.column]
-                + share.after * chains[at + 1, entries.column]
-            )
-            np.add.at(value, (entries.row, entries.channel), read * entries.basis)
+            value += self.chain_errors(chains, share)
         return value
+
+    def chain_errors(self, chains: NDArray[np.float64], share: ChainShare) -> NDArray[np.float64]:
+        """Return what the chains add to all channels, shape (n, CHANNELS), SI units.
+
+        Parameters
+        ----------
+        chains, share
+            As of :meth:`errors`.
+        """
+        entries = self.chains
+        at = share.interval[entries.row]
+        read = (
+            share.before * chains[at, entries.column] + share.after * chains[at + 1, entries.column]
+        )
+        place = entries.row * CHANNELS + entries.channel
+        summed = np.bincount(place, read * entries.basis, minlength=self.count * CHANNELS)
+        return np.asarray(summed, dtype=np.float64).reshape(self.count, CHANNELS)
 
 
 def _by_row(entries: _Entries) -> _Entries:

@@ -14,6 +14,7 @@ from geograph.factors.difference import (
     time_difference,
     time_difference_gradient,
 )
+from geograph.families.ray_kernel import FREQUENCY_DIFFERENCES, TIME_DIFFERENCES
 from geograph.families.rays import End, RayFamily, Solved, World
 from geograph.states import CHANNELS, CLOCK, FREQUENCY, POSITION, SPEED, VELOCITY
 
@@ -107,8 +108,12 @@ class _DifferenceFamily(RayFamily):
             self._emitted = emitted
         return np.asarray(emitted)
 
-    def _common(self, found: Solved) -> Common | None:
+    def _by_common(self, found: Solved) -> None:
+        """Return nothing: the time of emission follows from the arrival at the reference."""
         del found
+
+    def _shared_unknowns(self, by_common: NDArray[np.float64] | None) -> Common | None:
+        del by_common
         if not self._shared.any():
             return None
         # Weights for correlation are of the whole covariance, what rows share included.
@@ -149,6 +154,7 @@ class TimeDifferenceFamily(_DifferenceFamily):
     name = "time_differences"
     unit = "s"
     kind = "tdoa"
+    kernel_kind = TIME_DIFFERENCES
 
     def __init__(
         self,
@@ -167,6 +173,7 @@ class TimeDifferenceFamily(_DifferenceFamily):
             weight=weight,
             position_noise_m=position_noise_m,
         )
+        self._lay_out(rounds=_ROUNDS, enough_s=_TOLERANCE_S)
 
     def _predicted_error(self, found: Solved) -> NDArray[np.float64]:
         clocks = found.errors[0][:, CLOCK] - found.errors[1][:, CLOCK]
@@ -198,6 +205,7 @@ class FrequencyDifferenceFamily(_DifferenceFamily):
     name = "frequency_differences"
     unit = "Hz"
     kind = "fdoa"
+    kernel_kind = FREQUENCY_DIFFERENCES
 
     def __init__(
         self,
@@ -218,13 +226,24 @@ class FrequencyDifferenceFamily(_DifferenceFamily):
             position_noise_m=position_noise_m,
         )
         self.carrier_hz = table.carrier_hz[self.order]
-        self.median_carrier_hz = median_carrier_hz or float(np.median(table.carrier_hz))
+        self._take_median(median_carrier_hz or float(np.median(table.carrier_hz)))
+
+    def _take_median(self, median_carrier_hz: float) -> None:
+        """Let offsets of frequency be those at some carrier."""
+        self.median_carrier_hz = median_carrier_hz
+        self._relative = self.carrier_hz / median_carrier_hz
+        self._lay_out(
+            rounds=_ROUNDS,
+            enough_s=_TOLERANCE_S,
+            carrier_hz=self.carrier_hz,
+            relative=self._relative,
+        )
 
     def subset(self, index: NDArray[np.int64]) -> FrequencyDifferenceFamily:
         """Return the family of some of its differences (indices in the family's own order)."""
         part = super().subset(index)
         assert isinstance(part, FrequencyDifferenceFamily)
-        part.median_carrier_hz = self.median_carrier_hz
+        part._take_median(self.median_carrier_hz)
         return part
 
     def resolution_m(
@@ -256,8 +275,7 @@ class FrequencyDifferenceFamily(_DifferenceFamily):
     def _predicted_error(self, found: Solved) -> NDArray[np.float64]:
         offsets = found.errors[0][:, FREQUENCY] - found.errors[1][:, FREQUENCY]
         predicted = frequency_difference(found.rays[0], found.rays[1], self.carrier_hz)
-        relative = self.carrier_hz / self.median_carrier_hz
-        return np.asarray(predicted + relative * offsets - self.measured)
+        return np.asarray(predicted + self._relative * offsets - self.measured)
 
     def _gradients(
         self, found: Solved, path: Path, state: PathState
@@ -267,9 +285,8 @@ class FrequencyDifferenceFamily(_DifferenceFamily):
             sensor_ray, reference_ray, self.carrier_hz, _acceleration(found, path, state)
         )
         sensor, reference = self._channels(gradient, found.rays[0].speed_m_s)
-        relative = self.carrier_hz / self.median_carrier_hz
-        sensor[:, FREQUENCY] += relative
-        reference[:, FREQUENCY] -= relative
+        sensor[:, FREQUENCY] += self._relative
+        reference[:, FREQUENCY] -= self._relative
         return gradient.by_position, gradient.by_velocity, [sensor, reference]
 
 

@@ -26,9 +26,9 @@ def _load() -> ModuleType | None:
         from geograph.kernels import _compiled
     except ImportError:
         return None
-    names = ("AZIMUTH", "ELEVATION", "CLOCK", "POSITION", "VELOCITY", "SPEED", "CHANNELS")
+    names = "AZIMUTH ELEVATION CLOCK POSITION VELOCITY FREQUENCY SPEED CHANNELS".split()
     # An old build beside new sources would read the wrong columns.
-    same = all(getattr(_compiled, name) == getattr(states, name) for name in names)
+    same = all(getattr(_compiled, name, None) == getattr(states, name) for name in names)
     return _compiled if same else None
 
 

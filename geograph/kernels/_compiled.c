@@ -43,7 +43,7 @@ typedef struct {
     int held;
 } Array;
 
-#define MOST_ARRAYS 40
+#define MOST_ARRAYS 56
 #define MOST_ORDER 3
 
 typedef struct {
@@ -1684,6 +1684,10 @@ static PyObject *fall(PyObject *self, PyObject *const *arguments, Size given)
     Py_RETURN_NONE;
 }
 
+/* ---------------------------------------------------------------------------------- radio */
+
+#include "_radio.c"
+
 /* ---------------------------------------------------------------------------------- module */
 
 static PyMethodDef methods[] = {
@@ -1700,6 +1704,11 @@ static PyMethodDef methods[] = {
      "geograph.motion.Motion.linear"},
     {"fall", (PyCFunction)(void (*)(void))fall, METH_FASTCALL,
      "geograph.factors.gravity.propagate"},
+    {"radio", (PyCFunction)(void (*)(void))radio, METH_FASTCALL,
+     "geograph.families.rays.RayFamily.evaluate"},
+    {"settle", (PyCFunction)(void (*)(void))settle, METH_FASTCALL, "geograph.common.settled"},
+    {"add_shared", (PyCFunction)(void (*)(void))add_shared, METH_FASTCALL,
+     "geograph.blocks.BlockSum.add, of measurements that share unknowns"},
     {NULL, NULL, 0, NULL},
 };
 
@@ -1717,7 +1726,7 @@ PyMODINIT_FUNC PyInit__compiled(void)
         long value;
     } channels[] = {{"AZIMUTH", AZIMUTH},   {"ELEVATION", ELEVATION}, {"CLOCK", CLOCK},
                     {"POSITION", POSITION}, {"VELOCITY", VELOCITY},   {"SPEED", SPEED},
-                    {"CHANNELS", CHANNELS}};
+                    {"FREQUENCY", FREQUENCY}, {"CHANNELS", CHANNELS}};
     for (size_t i = 0; i < sizeof channels / sizeof channels[0]; i++)
         if (PyModule_AddIntConstant(made, channels[i].name, channels[i].value) < 0) {
             Py_DECREF(made);

@@ -1,0 +1,263 @@
+"""Arrivals and differences in compiled code: what it is given, and what it gives.
+
+Signals, times of emission, residuals and derivatives of one family in one call; the reference is
+the NumPy code of :mod:`geograph.families.rays` and of the families beside it. All that a solve does
+not change is laid out once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geograph.factors.kinematics import hermite_coefficients
+from geograph.kernels import compiled, flat, indices
+from geograph.path import BallisticPathState, Place
+from geograph.states import CHANNELS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from geograph.families.base import Values
+    from geograph.families.rays import End, World
+    from geograph.path import Path, PathState
+
+ARRIVALS, TIME_DIFFERENCES, FREQUENCY_DIFFERENCES = range(3)
+"""Kinds of families, as the compiled code counts them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """Entries of the constant states of all ends, those of the same row and column as one.
+
+    Attributes
+    ----------
+    row, column
+        Shape (e,).
+    target
+        Of every end the place of each of its entries among these.
+    """
+
+    row: NDArray[np.int64]
+    column: NDArray[np.int64]
+    target: list[NDArray[np.int64]]
+
+    @classmethod
+    def of(cls, ends: Sequence[End]) -> Merged:
+        """Return the entries of some ends."""
+        parts = [end.terms.constants for end in ends]
+        if len(parts) == 1:
+            only = parts[0]
+            return cls(only.row, only.column, [np.arange(only.row.size)])
+        row = np.concatenate([part.row for part in parts])
+        column = np.concatenate([part.column for part in parts])
+        width = int(column.max(initial=0)) + 1
+        place, inverse = np.unique(row * width + column, return_inverse=True)
+        edges = np.cumsum([part.row.size for part in parts])[:-1]
+        return cls(place // width, place % width, np.split(inverse.reshape(-1), edges))
+
+
+@dataclass(frozen=True, eq=False)
+class RayKernelResult:
+    """What one call found; derivatives are None where none were asked for.
+
+    Attributes
+    ----------
+    emitted_s, interval
+        Shape (n,): times of emission, and the intervals between knots that they lie in.
+    delays_s
+        Light times to every end, each shape (n,).
+    residual
+        Shape (n,), whitened.
+    by_common
+        Shape (n,): derivative by the time of emission, whitened; of arrivals alone.
+    by_position, by_velocity
+        Shape (n, 3), whitened; those by velocity of frequency differences alone.
+    by_knots
+        Shape (n, 1, 2, size), whitened.
+    by_constants
+        Shape (e, 1), whitened.
+    by_ends
+        By every end's channels of error, each shape (n, CHANNELS), whitened; where asked for.
+    """
+
+    emitted_s: NDArray[np.float64]
+    interval: NDArray[np.int64]
+    delays_s: list[NDArray[np.float64]]
+    residual: NDArray[np.float64]
+    by_common: NDArray[np.float64] | None
+    by_position: NDArray[np.float64] | None
+    by_velocity: NDArray[np.float64] | None
+    by_knots: NDArray[np.float64] | None
+    by_constants: NDArray[np.float64] | None
+    by_ends: list[NDArray[np.float64]]
+
+
+class RayKernel:
+    """The compiled evaluation of one family.
+
+    Parameters
+    ----------
+    kind
+        One of :data:`ARRIVALS`, :data:`TIME_DIFFERENCES`, :data:`FREQUENCY_DIFFERENCES`.
+    world, ends, merged
+        Sensors at the ends of the signals, and the entries of their constant states.
+    start
+        Shape (g,): first row of each group of the same emission.
+    measured, time_s, sigma
+        Shape (n,).
+    rounds, enough
+        Rounds in which times of emission are found, and the change in seconds that ends them.
+    carrier_hz, relative
+        Shape (n,): of frequency differences, with their carriers over the recording's.
+    """
+
+    def __init__(
+        self,
+        kind: int,
+        *,
+        world: World,
+        ends: Sequence[End],
+        merged: Merged,
+        start: NDArray[np.int64],
+        measured: NDArray[np.float64],
+        time_s: NDArray[np.float64],
+        sigma: NDArray[np.float64],
+        rounds: int,
+        enough: float,
+        carrier_hz: NDArray[np.float64] | None = None,
+        relative: NDArray[np.float64] | None = None,
+    ) -> None:
+        self._kind = kind
+        self._world = world
+        count = self._count = measured.size
+        self._entries = merged.row.size
+        self._head = (kind, rounds, count, start.size)
+        pieces = world.geometry.pieces
+        self._sensors = (
+            *(pieces.first.size - 1, pieces.edges_s.size, world.speed_m_s, world.spin_rad_s),
+            enough,
+        )
+        self._columns = (
+            *(indices(np.append(start, count)), pieces.first, pieces.edges_s, pieces.parts),
+            *map(flat, (measured, time_s, sigma, carrier_hz, relative)),
+        )
+        self._ends: list[tuple[Any, ...]] = []
+        for end, target in zip(ends, merged.target, strict=True):
+            own = end.terms.constants
+            # Entries are sorted by row.
+            first = np.searchsorted(own.row, np.arange(count + 1))
+            self._ends.append(
+                (
+                    own.row.size,
+                    *map(indices, (end.sensor, first, own.channel, own.column, target)),
+                    flat(own.basis),
+                )
+            )
+
+    def run(
+        self,
+        path: Path,
+        state: PathState,
+        values: Values,
+        *,
+        white: NDArray[np.float64],
+        emitted_s: NDArray[np.float64] | None,
+        delays_s: Sequence[NDArray[np.float64] | None],
+        chains: Sequence[NDArray[np.float64] | None],
+        jacobian: bool,
+        channels: bool = False,
+    ) -> RayKernelResult:
+        """Evaluate all measurements at one point.
+
+        Parameters
+        ----------
+        path, state, values
+            The path through the knots' states, kinematic or a fall, and the sensors' errors.
+        white
+            Shape (n,): reciprocals of the sigmas.
+        emitted_s, delays_s
+            Where times of emission and light times are searched from; None: from the measured
+            times, and from zero.
+        chains
+            Of every end what walks and platforms add to the channels, shape (n, CHANNELS), or None.
+        jacobian, channels
+            Whether derivatives are asked for, and among them those by every channel of error.
+        """
+        count, falls = self._count, isinstance(state, BallisticPathState)
+        width = 8 if falls else 2 * path.order
+        delays = [
+            np.zeros(count) if delay is None else np.array(delay, dtype=np.float64)
+            for delay in delays_s
+        ]
+        known = emitted_s is not None
+        emitted = np.empty(count) if emitted_s is None else np.array(emitted_s, dtype=np.float64)
+        residual, interval = np.empty(count), np.empty(count, dtype=np.int64)
+        by_common = np.empty(count) if self._kind == ARRIVALS else None
+        by_ends = [np.empty((count, CHANNELS)) for _ in delays] if channels else []
+        by_position = by_velocity = by_knots = by_constants = None
+        weights: tuple[NDArray[np.float64] | None, ...] = (None, None)
+        if jacobian:
+            by_position, by_constants = np.empty((count, 3)), np.empty((self._entries, 1))
+            if self._kind == FREQUENCY_DIFFERENCES:
+                by_velocity = np.empty((count, 3))
+            if falls:
+                weights = np.empty((count, width)), np.empty((count, width))
+            else:
+                by_knots = np.empty((count, 1, 2, path.size))
+        ends: list[Any] = []
+        for index, (fixed, chain, delay) in enumerate(zip(self._ends, chains, delays, strict=True)):
+            ends += (*fixed, chain, delay, by_ends[index] if channels else None)
+        compiled.radio(
+            *self._head,
+            *(values.constants.size, self._entries),
+            *self._sensors,
+            *self._columns,
+            *ends,
+            *(path.knots_s.size, 0 if falls else path.order, flat(path.knots_s), flat(state.basis)),
+            flat(hermite_coefficients(3 if falls else path.order)),
+            flat(hermite_coefficients(2)) if falls else None,
+            *(
+                int(known),
+                flat(white),
+                flat(values.constants),
+                emitted,
+                residual,
+                interval,
+                by_common,
+            ),
+            *(by_position, by_velocity, by_knots, *weights, by_constants),
+        )
+        if by_position is not None and weights[0] is not None and weights[1] is not None:
+            by_knots = state.chain(
+                _place(path, emitted, interval, weights[0], weights[1]),
+                by_position[:, None, :],
+                None if by_velocity is None else by_velocity[:, None, :],
+            )
+        return RayKernelResult(
+            emitted,
+            interval,
+            delays,
+            residual,
+            by_common,
+            by_position,
+            by_velocity,
+            by_knots,
+            by_constants,
+            by_ends,
+        )
+
+
+def _place(
+    path: Path,
+    time_s: NDArray[np.float64],
+    interval: NDArray[np.int64],
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+) -> Place:
+    offset = time_s - path.knots_s[interval]
+    return Place(time_s, interval, offset, path.steps_s[interval], position, velocity)
