@@ -215,10 +215,12 @@ class BlockSum:
             Shape (n,): square roots of the loss's weights, or None for ones.
         """
         if compiled is not None:
-            if found.common is None:
+            by = found.by_path
+            alike = isinstance(by, ByPosition) and by.start is not None
+            if found.common is None and not (alike and not found.walk_row.size):
                 self._add_compiled(total, found, root_weight)
             else:
-                self._add_shared(total, found, found.common, root_weight)
+                self._add_groups(total, found, root_weight)
             return
         self._plan(found)
         rows, width = found.residual.shape[1], self.layout.width
@@ -237,8 +239,8 @@ class BlockSum:
         """Do what :meth:`add` does, in compiled code, without laying out the rows."""
         layout, by = self.layout, found.by_path
         count, rows = found.residual.shape
-        order, by_path, weights = 0, by, None
-        if isinstance(by, ByPosition):
+        order, by_path, weights = 0, found.by_knots, None
+        if isinstance(by, ByPosition) and by.rates is None:
             order, by_path, weights = by.weights.shape[1] // 2, by.by_position, by.weights
         compiled.add_blocks(
             *(total.knots.shape[0], total.others.shape[0]),
@@ -261,24 +263,29 @@ class BlockSum:
             flat(root_weight),
         )
 
-    def _add_shared(
-        self,
-        total: Sums,
-        found: Evaluation,
-        common: Common,
-        root_weight: NDArray[np.float64] | None,
+    def _add_groups(
+        self, total: Sums, found: Evaluation, root_weight: NDArray[np.float64] | None
     ) -> None:
-        """Do the same where measurements share unknowns."""
-        layout = self.layout
+        """Do the same where measurements come in groups: of one emission, or with an unknown."""
+        layout, by, common = self.layout, found.by_path, found.common
+        start = held = None
+        if common is not None:
+            start, held = common.start, flat(common.by_common)
+        if isinstance(by, ByPosition) and by.start is not None and not found.walk_row.size:
+            order, start = by.weights.shape[1] // 2, by.start
+            factors = (by.by_position, by.weights, by.by_velocity, by.rates)
+        else:
+            order, factors = 0, (found.by_knots, None, None, None)
+        assert start is not None
         compiled.add_shared(
             *(total.knots.shape[0], total.others.shape[0]),
             *(layout.path, layout.walks, layout.constants, int(layout.chained)),
-            *(found.residual.shape[0], common.start.size),
+            *(found.residual.shape[0], order, start.size),
             *(found.constant_row.size, found.walk_row.size),
             *(total.knots, total.others),
             flat(found.residual),
             indices(found.interval),
-            flat(found.by_knots),
+            *map(flat, factors),
             self._knots_scale[0],
             indices(found.constant_row),
             indices(found.constant_column),
@@ -289,9 +296,9 @@ class BlockSum:
             flat(found.walk_after),
             flat(found.by_walks),
             flat(root_weight),
-            indices(common.start),
-            flat(common.by_common),
-            flat(common.information),
+            indices(start),
+            held,
+            None if common is None else flat(common.information),
         )
 
     def _fill(

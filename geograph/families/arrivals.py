@@ -68,7 +68,7 @@ class ArrivalFamily(RayFamily):
         group = code[order]
         super().__init__(
             world,
-            [End(world, arrivals.sensor[order], arrivals.toa_s[order])],
+            [End(world, arrivals.sensor[order], arrivals.toa_s[order], [CLOCK])],
             measured=arrivals.toa_s[order],
             sigma=arrivals.sigma_s[order],
             sigma_common=np.zeros(order.size),

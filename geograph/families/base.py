@@ -38,7 +38,7 @@ class Values:
 
 @dataclass(frozen=True, eq=False)
 class ByPosition:
-    """Derivatives by both neighbours' states, of measurements of a position alone.
+    """Derivatives by both neighbours' states, of measurements of a position, or of a velocity too.
 
     Attributes
     ----------
@@ -46,15 +46,25 @@ class ByPosition:
         Shape (n, 2 order): of the blocks of the knot before and of the one after.
     by_position
         Shape (n, r, 3), SI.
+    start
+        Shape (g,): first measurements of groups of the same emission, which have the same weights;
+        None: each has its own.
+    rates, by_velocity
+        The same for the velocity, or None.
     """
 
     weights: NDArray[np.float64]
     by_position: NDArray[np.float64]
+    start: NDArray[np.int64] | None = None
+    rates: NDArray[np.float64] | None = None
+    by_velocity: NDArray[np.float64] | None = None
 
     def expanded(self) -> NDArray[np.float64]:
         """Return the derivatives themselves, shape (n, r, 2, 3 order)."""
         count, rows, _ = self.by_position.shape
         product = self.weights[:, None, :, None] * self.by_position[:, :, None, :]
+        if self.rates is not None and self.by_velocity is not None:
+            product += self.rates[:, None, :, None] * self.by_velocity[:, :, None, :]
         return product.reshape(count, rows, 2, -1)
 
 

@@ -19,6 +19,8 @@ from geograph.families.rays import End, RayFamily, Solved, World
 from geograph.states import CHANNELS, CLOCK, FREQUENCY, POSITION, SPEED, VELOCITY
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from geograph.factors.difference import DifferenceGradient
@@ -34,6 +36,8 @@ class _DifferenceFamily(RayFamily):
     """Differences against a reference, sorted by time and reference."""
 
     table: TimeDifferences | FrequencyDifferences
+    felt: tuple[Sequence[int], Sequence[int]]
+    """Channels of error of sensor and reference that a difference feels."""
 
     def __init__(
         self,
@@ -57,8 +61,8 @@ class _DifferenceFamily(RayFamily):
         super().__init__(
             world,
             [
-                End(world, table.sensor[order], time),
-                End(world, table.reference[order], time),
+                End(world, table.sensor[order], time, self.felt[0]),
+                End(world, table.reference[order], time, self.felt[1]),
             ],
             measured=measured[order],
             sigma=sigma[order],
@@ -155,6 +159,7 @@ class TimeDifferenceFamily(_DifferenceFamily):
     unit = "s"
     kind = "tdoa"
     kernel_kind = TIME_DIFFERENCES
+    felt = (CLOCK,), (CLOCK,)
 
     def __init__(
         self,
@@ -206,6 +211,8 @@ class FrequencyDifferenceFamily(_DifferenceFamily):
     unit = "Hz"
     kind = "fdoa"
     kernel_kind = FREQUENCY_DIFFERENCES
+    # The signal is the one that the reference tells the time of.
+    felt = (FREQUENCY,), (CLOCK, FREQUENCY)
 
     def __init__(
         self,

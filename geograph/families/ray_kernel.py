@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geograph.factors.kinematics import hermite_coefficients
+from geograph.families.base import ByPosition
 from geograph.kernels import compiled, flat, indices
 from geograph.path import BallisticPathState, Place
 from geograph.states import CHANNELS
@@ -77,8 +78,8 @@ class RayKernelResult:
         Shape (n,): derivative by the time of emission, whitened; of arrivals alone.
     by_position, by_velocity
         Shape (n, 3), whitened; those by velocity of frequency differences alone.
-    by_knots
-        Shape (n, 1, 2, size), whitened.
+    by_path
+        By the knots' states, as of :class:`Evaluation`, whitened.
     by_constants
         Shape (e, 1), whitened.
     by_ends
@@ -92,7 +93,7 @@ class RayKernelResult:
     by_common: NDArray[np.float64] | None
     by_position: NDArray[np.float64] | None
     by_velocity: NDArray[np.float64] | None
-    by_knots: NDArray[np.float64] | None
+    by_path: NDArray[np.float64] | ByPosition | None
     by_constants: NDArray[np.float64] | None
     by_ends: list[NDArray[np.float64]]
 
@@ -136,6 +137,7 @@ class RayKernel:
         self._world = world
         count = self._count = measured.size
         self._entries = merged.row.size
+        self._start = start
         self._head = (kind, rounds, count, start.size)
         pieces = world.geometry.pieces
         self._sensors = (
@@ -199,16 +201,12 @@ class RayKernel:
         residual, interval = np.empty(count), np.empty(count, dtype=np.int64)
         by_common = np.empty(count) if self._kind == ARRIVALS else None
         by_ends = [np.empty((count, CHANNELS)) for _ in delays] if channels else []
-        by_position = by_velocity = by_knots = by_constants = None
-        weights: tuple[NDArray[np.float64] | None, ...] = (None, None)
+        by_position = by_velocity = by_constants = weights = rates = None
         if jacobian:
             by_position, by_constants = np.empty((count, 3)), np.empty((self._entries, 1))
+            weights = np.empty((count, width))
             if self._kind == FREQUENCY_DIFFERENCES:
-                by_velocity = np.empty((count, 3))
-            if falls:
-                weights = np.empty((count, width)), np.empty((count, width))
-            else:
-                by_knots = np.empty((count, 1, 2, path.size))
+                by_velocity, rates = np.empty((count, 3)), np.empty((count, width))
         ends: list[Any] = []
         for index, (fixed, chain, delay) in enumerate(zip(self._ends, chains, delays, strict=True)):
             ends += (*fixed, chain, delay, by_ends[index] if channels else None)
@@ -230,14 +228,17 @@ class RayKernel:
                 interval,
                 by_common,
             ),
-            *(by_position, by_velocity, by_knots, *weights, by_constants),
+            *(by_position, by_velocity, weights, rates, by_constants),
         )
-        if by_position is not None and weights[0] is not None and weights[1] is not None:
-            by_knots = state.chain(
-                _place(path, emitted, interval, weights[0], weights[1]),
-                by_position[:, None, :],
-                None if by_velocity is None else by_velocity[:, None, :],
-            )
+        by_path: NDArray[np.float64] | ByPosition | None = None
+        if by_position is not None and weights is not None:
+            rows = by_position[:, None, :]
+            faster = None if by_velocity is None else by_velocity[:, None, :]
+            if falls:
+                place = _place(path, emitted, interval, weights, rates)
+                by_path = state.chain(place, rows, faster)
+            else:
+                by_path = ByPosition(weights, rows, self._start, rates, faster)
         return RayKernelResult(
             emitted,
             interval,
@@ -246,7 +247,7 @@ class RayKernel:
             by_common,
             by_position,
             by_velocity,
-            by_knots,
+            by_path,
             by_constants,
             by_ends,
         )
@@ -257,7 +258,8 @@ def _place(
     time_s: NDArray[np.float64],
     interval: NDArray[np.int64],
     position: NDArray[np.float64],
-    velocity: NDArray[np.float64],
+    velocity: NDArray[np.float64] | None,
 ) -> Place:
     offset = time_s - path.knots_s[interval]
-    return Place(time_s, interval, offset, path.steps_s[interval], position, velocity)
+    rates = np.zeros_like(position) if velocity is None else velocity
+    return Place(time_s, interval, offset, path.steps_s[interval], position, rates)

@@ -43,6 +43,9 @@ if TYPE_CHECKING:
 # Times of emission are found anew, with the chains read in another interval, at most so often.
 _INTERVAL_ROUNDS = 4
 
+PLACED = (*range(POSITION, POSITION + 3), *range(VELOCITY, VELOCITY + 3), SPEED)
+"""Channels of error that every signal feels: where its ends are, and how fast it is."""
+
 _NO_INDEX = np.empty(0, dtype=np.int64)
 _NOTHING = np.empty(0)
 
@@ -85,15 +88,23 @@ class End:
         Shape (n,): index of each signal's sensor.
     time_s
         Shape (n,): time tags, at which drifts are read.
+    channels
+        Which errors the measurements feel, besides those of :data:`PLACED`.
     """
 
     def __init__(
-        self, world: World, sensor: NDArray[np.int64], time_s: NDArray[np.float64]
+        self,
+        world: World,
+        sensor: NDArray[np.int64],
+        time_s: NDArray[np.float64],
+        channels: Sequence[int],
     ) -> None:
         self.world = world
         self.sensor = sensor
         self.time_s = time_s
-        self.terms = SensorErrorTerms(world.states, sensor, time_s, world.chain_scale)
+        self.terms = SensorErrorTerms(
+            world.states, sensor, time_s, world.chain_scale, (*PLACED, *channels)
+        )
         # When walks and platforms are read; brought up to date between solves.
         self.read_s = time_s.copy()
         # Sensors that stand still are looked up once.
@@ -430,7 +441,7 @@ class RayFamily(SensorFamily):
         return Evaluation(
             found.residual[:, None],
             found.interval,
-            found.by_knots,
+            found.by_path,
             self._merged.row,
             self._merged.column,
             np.empty((0, 1)) if found.by_constants is None else found.by_constants,

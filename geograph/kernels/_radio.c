@@ -18,7 +18,7 @@ typedef struct {
 } OnWay;
 
 /* Where an object is at a time; the interval found last is the first guess. */
-static inline void read_way(const Way *way, double time, OnWay *found)
+INLINE void read_way(const Way *way, double time, OnWay *found)
 {
     Size width = way->width;
     if (way->knots == 1) {
@@ -94,7 +94,7 @@ typedef struct {
     End end[2];
     const int64_t *start;
     const double *measured, *time, *sigma, *white, *carrier, *relative, *values;
-    double *emitted, *residual, *by_common, *by_position, *by_velocity, *by_knots, *by_constants;
+    double *emitted, *residual, *by_common, *by_position, *by_velocity, *by_constants;
     double *by_place, *by_rate;
     int64_t *interval;
     double *errors[2], *work;
@@ -114,7 +114,7 @@ INLINE void turn(double sine, double cosine, const double *vector, double *turne
 }
 
 /* sensors.py: Trajectory.motion_at, with the sensor's estimated errors. */
-static inline Size move(const Movers *movers, Size sensor, double time, Size piece,
+INLINE Size move(const Movers *movers, Size sensor, double time, Size piece,
                         const double *errors, Ray *ray)
 {
     Size first = (Size)movers->first[sensor], count = (Size)movers->first[sensor + 1] - first;
@@ -146,9 +146,13 @@ static inline Size move(const Movers *movers, Size sensor, double time, Size pie
 
 #define TRACE_ROUNDS 50
 
-/* factors/arrival.py: trace, of one signal; starts from the last delay, and keeps the new one. */
-static inline void trace(const Radio *all, const End *end, Size i, const double *errors,
-                         double emitted, const OnWay *object, Ray *ray)
+/* A last step that bends the signal by no more than this meets it within its tolerance. */
+#define STRAIGHT_M 1e-10
+
+/* factors/arrival.py: trace, of one signal; starts from the last delay, and keeps the new one. The
+   delay of a rough one is as good; all else is of before the last step. */
+INLINE void trace(const Radio *all, const End *end, Size i, const double *errors, double emitted,
+                  const OnWay *object, int rough, Ray *ray)
 {
     double tau = end->delay[i], spin = all->spin_rad_s, speed = all->speed_m_s + errors[SPEED];
     Size piece = -1, sensor = (Size)end->sensor[i];
@@ -171,9 +175,9 @@ static inline void trace(const Radio *all, const End *end, Size i, const double 
             total += line[j] * line[j];
         }
         ray->distance = sqrt(total);
-        double safe = ray->distance > 1e-300 ? ray->distance : 1e-300;
+        double inverse = 1.0 / (ray->distance > 1e-300 ? ray->distance : 1e-300);
         for (int j = 0; j < 3; j++)
-            ray->unit[j] = line[j] / safe;
+            ray->unit[j] = line[j] * inverse;
         ray->sensor_inertial[0] = ray->sensor_velocity[0] - spin * ray->sensor[1];
         ray->sensor_inertial[1] = ray->sensor_velocity[1] + spin * ray->sensor[0];
         ray->sensor_inertial[2] = ray->sensor_velocity[2];
@@ -185,6 +189,12 @@ static inline void trace(const Radio *all, const End *end, Size i, const double 
         tau = next < 0.0 ? 0.0 : next;
         if (isnan(tau))
             break;
+        if (rough && tau > 0.0) {
+            const double *w = ray->sensor_inertial, *a = ray->sensor_acceleration;
+            double bend = dot(w, w) * inverse + fabs(a[0]) + fabs(a[1]) + fabs(a[2]) + 0.1;
+            if (change * change * bend <= STRAIGHT_M)
+                break;
+        }
     }
     ray->tau = end->delay[i] = tau;
     turn(ray->sine, ray->cosine, object->rate, ray->velocity);
@@ -223,7 +233,7 @@ INLINE double doppler(const Ray *ray)
 }
 
 /* factors/arrival.py: doppler_gradient, times a factor. */
-static inline void doppler_slope(const Ray *ray, const Slope *delay, const double *acceleration,
+INLINE void doppler_slope(const Ray *ray, const Slope *delay, const double *acceleration,
                                  double spin, double factor, Slope *slope)
 {
     const double *u = ray->unit, *v = ray->inertial, *own = ray->sensor_velocity;
@@ -299,7 +309,7 @@ static double median(Size count, double *values)
 #define LEAST_RATE 0.05
 
 /* families/arrivals.py: _emission_times. */
-static void emissions_of_arrivals(const Radio *all)
+INLINE void emissions_of_arrivals(const Radio *all)
 {
     const End *end = &all->end[0];
     double *late = all->work, *rate = late + all->n;
@@ -320,7 +330,7 @@ static void emissions_of_arrivals(const Radio *all)
             read_way(&all->way, emitted, &object);
             for (Size i = first; i < first + count; i++) {
                 const double *errors = all->errors[0] + i * CHANNELS;
-                trace(all, end, i, errors, emitted, &object, &ray);
+                trace(all, end, i, errors, emitted, &object, 1, &ray);
                 arrival_slope(&ray, &slope);
                 late[i - first] = all->measured[i] - errors[CLOCK] - ray.tau - emitted;
                 rate[i - first] = slope.emission;
@@ -341,7 +351,7 @@ static void emissions_of_arrivals(const Radio *all)
 }
 
 /* families/differences.py: _emission_times, of one group. */
-static void emission_of_difference(const Radio *all, Size first, OnWay *object)
+INLINE void emission_of_difference(const Radio *all, Size first, OnWay *object)
 {
     const double *errors = all->errors[1] + first * CHANNELS;
     double received = all->time[first] - errors[CLOCK];
@@ -350,7 +360,7 @@ static void emission_of_difference(const Radio *all, Size first, OnWay *object)
     Slope slope;
     for (int round = 0; round < all->rounds; round++) {
         read_way(&all->way, emitted, object);
-        trace(all, &all->end[1], first, errors, emitted, object, &ray);
+        trace(all, &all->end[1], first, errors, emitted, object, 1, &ray);
         arrival_slope(&ray, &slope);
         double step = (received - emitted - ray.tau) / slope.emission;
         emitted += step;
@@ -369,23 +379,16 @@ static inline double spacing(double value)
 INLINE void put_row(const Radio *all, Size i, const OnWay *object, const double *by_position,
                     const double *by_velocity, double (*channels)[CHANNELS])
 {
-    double white = all->white[i], place[3], rate[3] = {0.0, 0.0, 0.0};
-    for (int j = 0; j < 3; j++) {
-        all->by_position[3 * i + j] = place[j] = white * by_position[j];
-        if (by_velocity != NULL)
-            all->by_velocity[3 * i + j] = rate[j] = white * by_velocity[j];
-    }
+    double white = all->white[i];
     Size width = all->way.width;
-    if (all->by_knots != NULL) {
-        double *out = all->by_knots + i * width * 3;
-        for (Size b = 0; b < width; b++)
-            for (int j = 0; j < 3; j++)
-                out[3 * b + j] = object->by_place[b] * place[j] + object->by_rate[b] * rate[j];
+    for (int j = 0; j < 3; j++) {
+        all->by_position[3 * i + j] = white * by_position[j];
+        if (by_velocity != NULL)
+            all->by_velocity[3 * i + j] = white * by_velocity[j];
     }
-    if (all->by_place != NULL) {
-        memcpy(all->by_place + i * width, object->by_place, sizeof(double) * (size_t)width);
+    memcpy(all->by_place + i * width, object->by_place, sizeof(double) * (size_t)width);
+    if (all->by_rate != NULL)
         memcpy(all->by_rate + i * width, object->by_rate, sizeof(double) * (size_t)width);
-    }
     for (Size which = 0; which < all->ends; which++) {
         const End *end = &all->end[which];
         for (int j = 0; j < CHANNELS; j++)
@@ -398,7 +401,7 @@ INLINE void put_row(const Radio *all, Size i, const OnWay *object, const double 
 }
 
 /* families/arrivals.py: residuals and derivatives of one emission. */
-static void arrivals_of(const Radio *all, Size k, OnWay *object)
+INLINE void arrivals_of(const Radio *all, Size k, OnWay *object)
 {
     Size first = (Size)all->start[k];
     double emitted = all->emitted[first], coarse = spacing(emitted), channels[2][CHANNELS];
@@ -407,7 +410,7 @@ static void arrivals_of(const Radio *all, Size k, OnWay *object)
     read_way(&all->way, emitted, object);
     for (Size i = first; i < (Size)all->start[k + 1]; i++) {
         const double *errors = all->errors[0] + i * CHANNELS;
-        trace(all, &all->end[0], i, errors, emitted, object, &ray);
+        trace(all, &all->end[0], i, errors, emitted, object, 0, &ray);
         arrival_slope(&ray, &slope);
         all->emitted[i] = emitted;
         all->interval[i] = object->interval;
@@ -427,7 +430,7 @@ static void arrivals_of(const Radio *all, Size k, OnWay *object)
 }
 
 /* families/differences.py: residuals and derivatives of what has one reference and time. */
-static void differences_of(const Radio *all, Size k, OnWay *object)
+INLINE void differences_of(const Radio *all, Size k, OnWay *object)
 {
     Size first = (Size)all->start[k];
     int rates = all->kind == FREQUENCY_DIFFERENCES;
@@ -437,7 +440,7 @@ static void differences_of(const Radio *all, Size k, OnWay *object)
     Slope to_held, to_one, other, one, *own = rates ? &one : &to_one;
     double acceleration[3], shift = 0.0, carrier = NAN;
     read_way(&all->way, emitted, object);
-    trace(all, &all->end[1], first, reference, emitted, object, &held);
+    trace(all, &all->end[1], first, reference, emitted, object, 0, &held);
     arrival_slope(&held, &to_held);
     memset(&other, 0, sizeof other);
     if (rates && all->by_position != NULL)
@@ -447,7 +450,7 @@ static void differences_of(const Radio *all, Size k, OnWay *object)
     for (Size i = first; i < (Size)all->start[k + 1]; i++) {
         const double *errors = all->errors[0] + i * CHANNELS;
         double channels[2][CHANNELS], by_position[3], by_velocity[3], by_reference[3], value;
-        trace(all, &all->end[0], i, errors, emitted, object, &ray);
+        trace(all, &all->end[0], i, errors, emitted, object, 0, &ray);
         all->end[1].delay[i] = held.tau;
         all->emitted[i] = emitted;
         all->interval[i] = object->interval;
@@ -510,7 +513,7 @@ static void read_errors(const Radio *all)
     }
 }
 
-static void radio_all(const Radio *all)
+WIDE static void radio_all(const Radio *all)
 {
     OnWay object = {0};
     read_errors(all);
@@ -631,15 +634,15 @@ static PyObject *radio(PyObject *self, PyObject *const *arguments, Size given)
     all.by_common = results(&reader, n);
     all.by_position = results(&reader, 3 * n);
     all.by_velocity = results(&reader, 3 * n);
-    all.by_knots = results(&reader, n * way->width * 3);
     all.by_place = results(&reader, n * way->width);
     all.by_rate = results(&reader, n * way->width);
     all.by_constants = results(&reader, all.entries);
     there = there && way->knots_s && way->basis && way->hermite && (way->miss || way->order) &&
             all.white && all.values && all.emitted && all.residual && all.interval &&
-            (all.kind != ARRIVALS || all.by_common) && (!all.by_place || all.by_rate);
+            (all.kind != ARRIVALS || all.by_common);
     if (all.by_position != NULL)
-        there = there && all.by_constants && (all.by_velocity || all.kind != FREQUENCY_DIFFERENCES);
+        there = there && all.by_constants && all.by_place &&
+                ((all.by_velocity && all.by_rate) || all.kind != FREQUENCY_DIFFERENCES);
     if (!complete(&reader, there)) {
         release(&reader);
         return NULL;
@@ -721,41 +724,86 @@ static PyObject *settle(PyObject *self, PyObject *const *arguments, Size given)
     Py_RETURN_NONE;
 }
 
+/* Groups of rows of the same emission: with the same weights of their knots, or with an unknown of
+   their own (by_common), or both. */
 typedef struct {
     Size groups;
     const int64_t *start;
-    const double *by_common, *information;
-    double *rows, *products, *taken;
+    const double *by_common, *information, *by_velocity, *rates;
+    double *rows, *products, *taken, *by_knots;
     Size *column, *slot;
 } Shared;
 
-/* common.py: project, of the rows of one group. */
-INLINE void take_up(const Shared *shared, Size k, const double *slope, Size count, Size width)
+/* Rows are filled up to whole registers. */
+#define PADDED(width) (((width) + 3) & ~(Size)3)
+
+/* common.py: project, of the rows of one group, whose last column is the residual. */
+INLINE void take_up(const Shared *shared, Size k, const double *slope, Size count, Size last,
+                    Size pad)
 {
-    double square = 0.0, information = shared->information[k], *taken = shared->taken;
+    double square = 0.0, information = shared->information[k], *restrict taken = shared->taken;
     for (Size i = 0; i < count; i++)
         square += slope[i] * slope[i];
     double total = square + information;
     double root = total > 0.0 ? sqrt(information / total) : 1.0;
     double share = total > 0.0 ? 1.0 / (1.0 + root) / total : 0.0;
     double back = information > 0.0 ? -share / root : 0.0;
-    memset(taken, 0, sizeof(double) * (size_t)width);
-    for (Size i = 0; i < count; i++)
-        for (Size j = 0; j < width; j++)
-            taken[j] += slope[i] * shared->rows[i * width + j];
-    for (Size j = 0; j < width - 1; j++)
+    memset(taken, 0, sizeof(double) * (size_t)pad);
+    for (Size i = 0; i < count; i++) {
+        const double *restrict row = shared->rows + i * pad;
+        for (Size j = 0; j < pad; j++)
+            taken[j] += slope[i] * row[j];
+    }
+    double residual = back * taken[last];
+    for (Size j = 0; j < pad; j++)
         taken[j] *= share;
-    taken[width - 1] *= back;
-    for (Size i = 0; i < count; i++)
-        for (Size j = 0; j < width; j++)
-            shared->rows[i * width + j] -= slope[i] * taken[j];
+    taken[last] = residual;
+    for (Size i = 0; i < count; i++) {
+        double *restrict row = shared->rows + i * pad;
+        for (Size j = 0; j < pad; j++)
+            row[j] -= slope[i] * taken[j];
+    }
 }
 
-/* Add the products of one group's rows, over the columns that it touches. */
-INLINE void add_group(const Blocks *all, const Shared *shared, Size k, Size first, Size end)
+/* Add products of the derivatives by position and velocity, the columns of a group's rows before
+   all others, which its weights make those by the knots. */
+INLINE void spread_out(Size order, int moves, const Blocks *all, const Shared *shared, Size first,
+                       Size touched, Size pad, double *total)
 {
-    Size d = all->path + all->walks, knots = all->chained ? 2 * d : d, touched = 0;
-    Size others = all->constants + 1, full = knots + others, count = end - first;
+    Size m = 3 * order, d = all->path + all->walks, halves = all->chained ? 2 : 1;
+    Size lead = moves ? 6 : 3, knots = halves * d, full = knots + all->constants + 1;
+    double place[6 * MOST_ORDER], rate[6 * MOST_ORDER], by_place[3 * MOST_ORDER];
+    double by_rate[3 * MOST_ORDER], *restrict by = shared->by_knots;
+    for (Size half = 0; half < 2; half++)
+        for (Size c = 0; c < m; c++) {
+            Size weight = 2 * order * first + half * order + c / 3;
+            place[half * m + c] = all->weights[weight] * all->scale[c];
+            rate[half * m + c] = moves ? shared->rates[weight] * all->scale[c] : 0.0;
+        }
+    for (Size a = 0; a < halves * m; a++) {
+        const double *restrict one = shared->products + a % 3 * pad;
+        const double *restrict two = one + (moves ? 3 * pad : 0);
+        for (Size c = 0; c < pad; c++)
+            by[c] = moves ? place[a] * one[c] + rate[a] * two[c] : place[a] * one[c];
+        for (Size c = 0; c < m; c++) {
+            by_place[c] = by[c % 3];
+            by_rate[c] = moves ? by[3 + c % 3] : 0.0;
+        }
+        double *restrict row = total + (a / m * d + a % m) * full;
+        for (Size half = 0; half < halves; half++)
+            for (Size c = 0; c < m; c++)
+                row[half * d + c] += moves ? place[half * m + c] * by_place[c] +
+                                                 rate[half * m + c] * by_rate[c]
+                                           : place[half * m + c] * by_place[c];
+        for (Size c = 0; c <= touched; c++)
+            row[knots + shared->column[c]] += by[lead + c];
+    }
+}
+
+/* List the constants that a group touches, the residual's column behind them; give their number. */
+INLINE Size touch(const Blocks *all, const Shared *shared, Size first, Size end)
+{
+    Size touched = 0;
     for (Size i = first; i < end; i++)
         for (Size m = all->first[i]; m < all->first[i + 1]; m++) {
             Size column = (Size)all->constant_column[all->entry[m]];
@@ -765,49 +813,81 @@ INLINE void add_group(const Blocks *all, const Shared *shared, Size k, Size firs
             }
         }
     shared->column[touched] = all->constants;
-    Size width = knots + touched + 1;
-    double *slope = shared->products;
+    return touched;
+}
+
+/* Add the products of one group's rows, over the columns that it touches. Order 0: the rows are
+   laid out over the knots; else their weights are. */
+INLINE void add_group(Size order, int moves, const Blocks *all, const Shared *shared, Size k)
+{
+    Size first = (Size)shared->start[k], end = end_of(shared->groups, shared->start, k, all->n);
+    Size d = all->path + all->walks, knots = all->chained ? 2 * d : d;
+    Size others = all->constants + 1, full = knots + others, count = end - first;
+    Size lead = order == 0 ? knots : moves ? 6 : 3, touched = touch(all, shared, first, end);
+    Size last = lead + touched, pad = PADDED(last + 1);
+    double *slope = shared->products, *products = shared->products;
     for (Size i = first; i < end; i++) {
-        double *row = shared->rows + (i - first) * width;
+        double *row = shared->rows + (i - first) * pad;
         double root = all->weight == NULL ? 1.0 : all->weight[i];
-        lay_out(all, i, 0, root, d, knots, row);
-        memset(row + knots, 0, sizeof(double) * (size_t)(touched + 1));
+        if (order == 0)
+            lay_out(all, i, 0, root, d, knots, row);
+        for (Size j = 0; j < 3 && order != 0; j++) {
+            row[j] = root * all->by_path[3 * i + j];
+            if (moves)
+                row[3 + j] = root * shared->by_velocity[3 * i + j];
+        }
+        for (Size j = lead; j < pad; j++)
+            row[j] = 0.0;
         for (Size m = all->first[i]; m < all->first[i + 1]; m++) {
             Size entry = all->entry[m];
-            row[knots + shared->slot[all->constant_column[entry]]] +=
+            row[lead + shared->slot[all->constant_column[entry]]] +=
                 root * all->by_constants[entry];
         }
-        row[width - 1] = root * all->residual[i];
-        slope[i - first] = root * shared->by_common[i];
+        row[last] = root * all->residual[i];
+        if (shared->by_common != NULL)
+            slope[i - first] = root * shared->by_common[i];
     }
-    take_up(shared, k, slope, count, width);
-    double *products = shared->products;
-    memset(products, 0, sizeof(double) * (size_t)(width * width));
-    for (Size a = 0; a < width; a++)
-        add_rows(count, width, 1.0, shared->rows + a, width, shared->rows, width,
-                 products + a * width);
+    if (shared->by_common != NULL)
+        take_up(shared, k, slope, count, last, pad);
+    memset(products, 0, sizeof(double) * (size_t)(pad * pad));
+    for (Size i = 0; i < count; i++) {
+        const double *restrict row = shared->rows + i * pad;
+        for (Size a = 0; a <= last; a++) {
+            double *restrict out = products + a * pad, by = row[a];
+            for (Size b = 0; b < pad; b++)
+                out[b] += by * row[b];
+        }
+    }
     Size place = (Size)all->interval[first];
     double *total = all->knots + place * knots * full;
-    for (Size a = 0; a < knots; a++) {
+    if (order)
+        spread_out(order, moves, all, shared, first, touched, pad, total);
+    for (Size a = 0; a < knots && order == 0; a++) {
         for (Size b = 0; b < knots; b++)
-            total[a * full + b] += products[a * width + b];
+            total[a * full + b] += products[a * pad + b];
         for (Size b = 0; b <= touched; b++)
-            total[a * full + knots + shared->column[b]] += products[a * width + knots + b];
+            total[a * full + knots + shared->column[b]] += products[a * pad + knots + b];
     }
     total = all->others + (all->held > 1 ? place * others * others : 0);
     for (Size a = 0; a <= touched; a++) {
         for (Size b = 0; b <= touched; b++)
             total[shared->column[a] * others + shared->column[b]] +=
-                products[(knots + a) * width + knots + b];
+                products[(lead + a) * pad + lead + b];
         shared->slot[shared->column[a]] = -1;
     }
 }
 
 WIDE static void add_groups(const Blocks *all, const Shared *shared)
 {
+    int moves = shared->by_velocity != NULL;
+    /* Loops of known length are unrolled for the usual motion. */
     for (Size k = 0; k < shared->groups; k++)
-        add_group(all, shared, k, (Size)shared->start[k],
-                  end_of(shared->groups, shared->start, k, all->n));
+        if (all->order == 0)
+            add_group(0, 0, all, shared, k);
+        else if (all->order == 3)
+            moves ? add_group(3, 1, all, shared, k) : add_group(3, 0, all, shared, k);
+        else
+            moves ? add_group(all->order, 1, all, shared, k) : add_group(all->order, 0, all, shared, k);
 }
 
 static int shared_fits(const Blocks *all, const Shared *shared)
@@ -840,11 +920,15 @@ static PyObject *add_shared(PyObject *self, PyObject *const *arguments, Size giv
     all.chained = (int)whole(&reader);
     all.n = whole(&reader);
     all.r = 1;
+    all.order = whole(&reader);
     shared.groups = whole(&reader);
     all.e = whole(&reader);
     all.f = whole(&reader);
-    if (!reader.failed && all.held != 1 && all.held != all.intervals) {
-        PyErr_SetString(PyExc_ValueError, "expected sums of one interval or of each");
+    if (!reader.failed &&
+        ((all.held != 1 && all.held != all.intervals) ||
+         (all.order && (all.path != 3 * all.order || all.order > MOST_ORDER || all.f)))) {
+        PyErr_SetString(PyExc_ValueError, "expected sums of one interval or of each; weights of "
+                                          "1 to 3 blocks only where no walk is felt");
         reader.failed = 1;
     }
     Size d = all.path + all.walks, knots = all.chained ? 2 * d : d;
@@ -853,7 +937,10 @@ static PyObject *add_shared(PyObject *self, PyObject *const *arguments, Size giv
     all.others = results(&reader, all.held * others * others);
     all.residual = reals(&reader, all.n);
     all.interval = integers(&reader, all.n);
-    all.by_path = reals(&reader, all.n * 2 * all.path);
+    all.by_path = reals(&reader, all.n * (all.order ? 3 : 2 * all.path));
+    all.weights = reals(&reader, all.n * 2 * all.order);
+    shared.by_velocity = reals(&reader, 3 * all.n);
+    shared.rates = reals(&reader, all.n * 2 * all.order);
     all.scale = reals(&reader, all.path);
     all.constant_row = integers(&reader, all.e);
     all.constant_column = integers(&reader, all.e);
@@ -870,8 +957,10 @@ static PyObject *add_shared(PyObject *self, PyObject *const *arguments, Size giv
     if (!complete(&reader, all.knots && all.others && all.residual && all.interval && all.by_path &&
                                all.scale && all.constant_row && all.constant_column &&
                                all.by_constants && all.walk_row && all.walk_column && all.before &&
-                               all.after && all.by_walks && shared.start && shared.by_common &&
-                               shared.information)) {
+                               all.after && all.by_walks && shared.start &&
+                               (all.weights || !all.order) &&
+                               (shared.rates || !shared.by_velocity) &&
+                               (shared.information || !shared.by_common))) {
         release(&reader);
         return NULL;
     }
@@ -882,8 +971,9 @@ static PyObject *add_shared(PyObject *self, PyObject *const *arguments, Size giv
         largest = count > largest ? count : largest;
     }
     /* Products, which hold the slopes of a group first; its rows; what is taken up. */
-    Size most = full * full > largest ? full * full : largest;
-    double *room = malloc(sizeof(double) * (size_t)(most + largest * full + full));
+    Size wide = PADDED((knots > 6 ? knots : 6) + others);
+    Size most = wide * wide > largest ? wide * wide : largest;
+    double *room = malloc(sizeof(double) * (size_t)(most + largest * wide + 2 * wide));
     Size *index = malloc(sizeof(Size) * (size_t)(2 * (all.n + 2) + all.e + all.f + 2 * others));
     if (room == NULL || index == NULL) {
         free(room);
@@ -893,7 +983,8 @@ static PyObject *add_shared(PyObject *self, PyObject *const *arguments, Size giv
     }
     shared.products = room;
     shared.rows = room + most;
-    shared.taken = shared.rows + largest * full;
+    shared.taken = shared.rows + largest * wide;
+    shared.by_knots = shared.taken + wide;
     Size *first_walk = index + all.n + 2, *entry = first_walk + all.n + 2;
     Size *entry_walk = entry + all.e;
     shared.column = entry_walk + all.f;
