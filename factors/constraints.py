@@ -12,6 +12,8 @@ from geograph.geodesy import enu_axes, geodetic_from_ecef
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+_UP = np.array([0.0, 0.0, 1.0])
+
 
 def altitude(
     position_m: NDArray[np.float64], frame: Literal["ecef", "local"]
@@ -29,7 +31,7 @@ def altitude(
         ``"ecef"`` or ``"local"``.
     """
     if frame == "local":
-        return position_m[:, 2], np.broadcast_to([0.0, 0.0, 1.0], position_m.shape)
+        return position_m[:, 2], np.broadcast_to(_UP, position_m.shape)
     return geodetic_from_ecef(position_m)[:, 2], enu_axes(position_m)[:, 2]
 
 

@@ -271,11 +271,13 @@ class BlockSum:
         start = held = None
         if common is not None:
             start, held = common.start, flat(common.by_common)
+        order = 0
+        factors: tuple[NDArray[np.float64] | None, ...]
         if isinstance(by, ByPosition) and by.start is not None and not found.walk_row.size:
             order, start = by.weights.shape[1] // 2, by.start
             factors = (by.by_position, by.weights, by.by_velocity, by.rates)
         else:
-            order, factors = 0, (found.by_knots, None, None, None)
+            factors = (found.by_knots, None, None, None)
         assert start is not None
         compiled.add_shared(
             *(total.knots.shape[0], total.others.shape[0]),

@@ -120,7 +120,7 @@ def settled(found: Evaluation, weight: NDArray[np.float64] | None, loss: Loss) -
             break
     changed = residual + slope * (value - common.value)[common.group]
     common = replace(common, value=value, weight=factor)
-    return replace(found, residual=changed[:, None], common=common)
+    return found.settled(changed[:, None], common)
 
 
 def _settled_compiled(
@@ -134,7 +134,8 @@ def _settled_compiled(
         *map(flat, (weight, common.information, common.value)),
         *(value, changed),
     )
-    return replace(found, residual=changed, common=replace(common, value=value, weight=weight))
+    held = Common(common.group, common.start, common.by_common, common.information, value, weight)
+    return found.settled(changed, held)
 
 
 def project(

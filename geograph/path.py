@@ -102,6 +102,11 @@ class PathState(ABC):
         velocity = np.matmul(place.velocity_weights[:, None, :], basis)[:, 0]
         return position, velocity
 
+    def position(self, place: Place) -> NDArray[np.float64]:
+        """Return the position alone, shape (n, 3)."""
+        basis = self._basis[place.interval]
+        return np.asarray(np.matmul(place.position_weights[:, None, :], basis)[:, 0])
+
     @property
     def basis(self) -> NDArray[np.float64]:
         """Shape (intervals, w, 3): what the weights of a place multiply."""

@@ -8,6 +8,7 @@ The cost is, with whitened residuals r,
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -169,6 +170,12 @@ class Problem:
         }
         return Problem(**(arguments | changes))  # type: ignore[arg-type]
 
+    @cached_property
+    def _prior_information(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Scales of the path over the prior's sigmas, and information of the first knot, scaled."""
+        ratio = self.path_scale / self.prior.sigma
+        return ratio, np.concatenate([ratio**2, self._chain_start**-2.0])
+
     @property
     def measurement_rows(self) -> int:
         """Scalar measurements in all."""
@@ -198,11 +205,12 @@ class Problem:
         self, found: Evaluation, weight: NDArray[np.float64] | None
     ) -> tuple[float, NDArray[np.float64] | None]:
         """Return a family's cost and the weights of its measurements' information."""
-        square = np.einsum("ij,ij->i", found.residual, found.residual)
         held = 0.0 if found.common is None else found.common.cost
+        if weight is None and self.loss.name == "none":
+            return held + 0.5 * float(np.vdot(found.residual, found.residual)), None
+        square = np.einsum("ij,ij->i", found.residual, found.residual)
         if self.loss.name == "none":
-            if weight is None:
-                return held + 0.5 * float(square.sum()), None
+            assert weight is not None
             return held + 0.5 * float(weight @ square), weight
         value, slope = self.loss.value_and_weight(square)
         if weight is not None:
@@ -252,7 +260,7 @@ class Problem:
         """Return the linear system of scaled increments at one point."""
         blocks = Sums.zeros(self.layout, max(self.knots_s.size - 1, 1))
         inverse, noise_root, residual = self._transitions(values)
-        cost = self._start_cost(values) + 0.5 * float(np.sum(residual**2))
+        cost = self._start_cost(values) + 0.5 * float(np.vdot(residual, residual))
         for found, weight, total in zip(
             self.evaluate(values, jacobian=True), self.weights, self._sums, strict=True
         ):
@@ -262,9 +270,8 @@ class Problem:
             total.add(blocks, found, root)
         if self.shift is not None:
             self.shift.add(blocks.others[0], slice(0, self.layout.constants), values.constants)
+        ratio, information = self._prior_information
         start = (values.path[0] - self.prior.mean) / self.prior.sigma
-        ratio = self.path_scale / self.prior.sigma
-        information = np.concatenate([ratio**2, self._chain_start**-2.0])
         gradient = np.concatenate([ratio * start, values.walks[0] / self._chain_start**2])
         return LinearSystem(
             blocks,

@@ -108,6 +108,23 @@ class Evaluation:
         """Shape (n, r, 2, 3 order), SI: derivatives by the knots' states, if there are any."""
         return self.by_path.expanded() if isinstance(self.by_path, ByPosition) else self.by_path
 
+    def settled(self, residual: NDArray[np.float64], common: Common) -> Evaluation:
+        """Return the same with other residuals, of shared unknowns that are elsewhere."""
+        return Evaluation(
+            residual,
+            self.interval,
+            self.by_path,
+            self.constant_row,
+            self.constant_column,
+            self.by_constants,
+            self.walk_row,
+            self.walk_column,
+            self.walk_before,
+            self.walk_after,
+            self.by_walks,
+            common,
+        )
+
 
 _NO_INDEX = np.empty(0, dtype=np.int64)
 

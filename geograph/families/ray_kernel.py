@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 ARRIVALS, TIME_DIFFERENCES, FREQUENCY_DIFFERENCES = range(3)
 """Kinds of families, as the compiled code counts them."""
 
+_HERMITE = {order: flat(hermite_coefficients(order)) for order in (1, 2, 3)}
+_FALL, _MISS = _HERMITE[3], _HERMITE[2]
+
 
 @dataclass(frozen=True, eq=False)
 class Merged:
@@ -62,12 +65,14 @@ class Merged:
         return cls(place // width, place % width, np.split(inverse.reshape(-1), edges))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class RayKernelResult:
     """What one call found; derivatives are None where none were asked for.
 
     Attributes
     ----------
+    finite
+        Whether all times of emission are numbers.
     emitted_s, interval
         Shape (n,): times of emission, and the intervals between knots that they lie in.
     delays_s
@@ -86,6 +91,7 @@ class RayKernelResult:
         By every end's channels of error, each shape (n, CHANNELS), whitened; where asked for.
     """
 
+    finite: bool
     emitted_s: NDArray[np.float64]
     interval: NDArray[np.int64]
     delays_s: list[NDArray[np.float64]]
@@ -210,24 +216,16 @@ class RayKernel:
         ends: list[Any] = []
         for index, (fixed, chain, delay) in enumerate(zip(self._ends, chains, delays, strict=True)):
             ends += (*fixed, chain, delay, by_ends[index] if channels else None)
-        compiled.radio(
+        finite = compiled.radio(
             *self._head,
             *(values.constants.size, self._entries),
             *self._sensors,
             *self._columns,
             *ends,
             *(path.knots_s.size, 0 if falls else path.order, flat(path.knots_s), flat(state.basis)),
-            flat(hermite_coefficients(3 if falls else path.order)),
-            flat(hermite_coefficients(2)) if falls else None,
-            *(
-                int(known),
-                flat(white),
-                flat(values.constants),
-                emitted,
-                residual,
-                interval,
-                by_common,
-            ),
+            *((_FALL, _MISS) if falls else (_HERMITE[path.order], None)),
+            *(known, flat(white), flat(values.constants)),
+            *(emitted, residual, interval, by_common),
             *(by_position, by_velocity, weights, rates, by_constants),
         )
         by_path: NDArray[np.float64] | ByPosition | None = None
@@ -240,6 +238,7 @@ class RayKernel:
             else:
                 by_path = ByPosition(weights, rows, self._start, rates, faster)
         return RayKernelResult(
+            finite,
             emitted,
             interval,
             delays,

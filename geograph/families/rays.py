@@ -332,7 +332,7 @@ class RayFamily(SensorFamily):
                 channels=channels,
             )
             self._delays = list(found.delays_s)
-            if np.isfinite(found.emitted_s).all():
+            if found.finite:
                 self._emitted = found.emitted_s
             if interval is None or np.array_equal(found.interval, interval):
                 break

@@ -17,6 +17,13 @@ typedef struct {
     double by_place[MOST_WEIGHTS], by_rate[MOST_WEIGHTS], place[3], rate[3];
 } OnWay;
 
+/* Weights of position and velocity. */
+INLINE void both_weights(Size order, const double *hermite, double step, double offset,
+                         double *place, double *rate)
+{
+    weights(order, hermite, step, offset, place, rate);
+}
+
 /* Where an object is at a time; the interval found last is the first guess. */
 INLINE void read_way(const Way *way, double time, OnWay *found)
 {
@@ -29,8 +36,8 @@ INLINE void read_way(const Way *way, double time, OnWay *found)
         double step = way->knots_s[at + 1] - way->knots_s[at], offset = time - way->knots_s[at];
         if (way->order == 0) {
             double miss[4], slope[4];
-            weights(3, way->hermite, step, offset, found->by_place, found->by_rate);
-            weights(2, way->miss, step, offset, miss, slope);
+            both_weights(3, way->hermite, step, offset, found->by_place, found->by_rate);
+            both_weights(2, way->miss, step, offset, miss, slope);
             for (int j = 0; j < 2; j++) {
                 found->by_place[3 + j] -= miss[2 + j];
                 found->by_rate[3 + j] -= slope[2 + j];
@@ -38,7 +45,7 @@ INLINE void read_way(const Way *way, double time, OnWay *found)
                 found->by_rate[6 + j] = slope[2 + j];
             }
         } else
-            weights(way->order, way->hermite, step, offset, found->by_place, found->by_rate);
+            both_weights(way->order, way->hermite, step, offset, found->by_place, found->by_rate);
     }
     const double *basis = way->basis + found->interval * width * 3;
     for (int j = 0; j < 3; j++)
@@ -654,10 +661,12 @@ static PyObject *radio(PyObject *self, PyObject *const *arguments, Size given)
     }
     all.errors[1] = all.errors[0] + n * CHANNELS;
     all.work = all.errors[0] + n * CHANNELS * all.ends;
-    int fits = radio_fits(&all);
+    int fits = radio_fits(&all), finite = 1;
     Py_BEGIN_ALLOW_THREADS
     if (fits)
         radio_all(&all);
+    for (Size i = 0; fits && i < n; i++)
+        finite &= isfinite(all.emitted[i]) != 0;
     Py_END_ALLOW_THREADS
     free(all.errors[0]);
     release(&reader);
@@ -665,7 +674,7 @@ static PyObject *radio(PyObject *self, PyObject *const *arguments, Size given)
         PyErr_SetString(PyExc_IndexError, "a group, sensor or entry is out of range");
         return NULL;
     }
-    Py_RETURN_NONE;
+    return PyBool_FromLong(finite);
 }
 
 /* ---------------------------------------------------------------------------------- shared */
@@ -735,7 +744,9 @@ typedef struct {
 } Shared;
 
 /* Rows are filled up to whole registers. */
-#define PADDED(width) (((width) + 3) & ~(Size)3)
+#ifndef PADDED
+#define PADDED(size) (((size) + 3) & ~(Size)3)
+#endif
 
 /* common.py: project, of the rows of one group, whose last column is the residual. */
 INLINE void take_up(const Shared *shared, Size k, const double *slope, Size count, Size last,
