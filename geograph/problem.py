@@ -220,8 +220,15 @@ class Problem:
     def cost(self, values: Values) -> float:
         """Return the cost at one point; not finite where a prediction is not."""
         total = self.prior_cost(values)
-        for found, weight in zip(self.evaluate(values, jacobian=False), self.weights, strict=True):
-            total += self._measurement_cost(found, weight)[0]
+        point = self.path, self.path.at_state(values.path, jacobian=False), values
+        for family, weight in zip(self.families, self.weights, strict=True):
+            share = None
+            if self.loss.name == "none":
+                share = family.add_to(None, *point, weight=weight, scale=self.path_scale)
+            if share is None:
+                found = settled(family.evaluate(*point, jacobian=False), weight, self.loss)
+                share, _ = self._measurement_cost(found, weight)
+            total += share
         return total
 
     def prior_cost(self, values: Values) -> float:
@@ -261,13 +268,18 @@ class Problem:
         blocks = Sums.zeros(self.layout, max(self.knots_s.size - 1, 1))
         inverse, noise_root, residual = self._transitions(values)
         cost = self._start_cost(values) + 0.5 * float(np.vdot(residual, residual))
-        for found, weight, total in zip(
-            self.evaluate(values, jacobian=True), self.weights, self._sums, strict=True
-        ):
-            share, information_weight = self._measurement_cost(found, weight)
+        state = self.path.at_state(values.path, jacobian=True)
+        point = self.path, state, values
+        for family, weight, total in zip(self.families, self.weights, self._sums, strict=True):
+            share = None
+            if self.loss.name == "none":
+                share = family.add_to(blocks, *point, weight=weight, scale=self.path_scale)
+            if share is None:
+                found = settled(family.evaluate(*point, jacobian=True), weight, self.loss)
+                share, information_weight = self._measurement_cost(found, weight)
+                root = None if information_weight is None else np.sqrt(information_weight)
+                total.add(blocks, found, root)
             cost += share
-            root = None if information_weight is None else np.sqrt(information_weight)
-            total.add(blocks, found, root)
         if self.shift is not None:
             self.shift.add(blocks.others[0], slice(0, self.layout.constants), values.constants)
         ratio, information = self._prior_information

@@ -12,6 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.blocks import Sums
     from geograph.common import Common
     from geograph.path import Path, PathState
 
@@ -193,6 +194,35 @@ class Family(ABC):
         self, path: Path, state: PathState, values: Values, *, jacobian: bool
     ) -> Evaluation:
         """Evaluate all measurements at one point."""
+
+    def add_to(
+        self,
+        total: Sums | None,
+        path: Path,
+        state: PathState,
+        values: Values,
+        *,
+        weight: NDArray[np.float64] | None,
+        scale: NDArray[np.float64],
+    ) -> float | None:
+        """Add all measurements up at once, without a loss; return their cost.
+
+        None, which is what families do that know no such way: they were not.
+
+        Parameters
+        ----------
+        total
+            Sums of products that are added to, as by :meth:`geograph.blocks.BlockSum.add`; None:
+            the cost is all that is asked for.
+        path, state, values
+            The point.
+        weight
+            Shape (n,): fixed weights, or None.
+        scale
+            Shape (size,): scales of the path's components, SI.
+        """
+        del total, path, state, values, weight, scale
+        return None
 
     @abstractmethod
     def subset(self, index: NDArray[np.int64]) -> Family:

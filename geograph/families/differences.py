@@ -118,12 +118,17 @@ class _DifferenceFamily(RayFamily):
 
     def _shared_unknowns(self, by_common: NDArray[np.float64] | None) -> Common | None:
         del by_common
-        if not self._shared.any():
+        shared, information = self._shared_prior()
+        if shared is None or information is None:
             return None
-        # Weights for correlation are of the whole covariance, what rows share included.
-        information = np.minimum.reduceat(self.weight, self.start)
         nothing = np.zeros(self.start.size)
-        return Common(self.group, self.start, self._shared, information, nothing)
+        return Common(self.group, self.start, shared, information, nothing)
+
+    def _shared_prior(self) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
+        if not self._shared.any():
+            return None, None
+        # Weights for correlation are of the whole covariance, what rows share included.
+        return self._shared, np.minimum.reduceat(self.weight, self.start)
 
     @staticmethod
     def _channels(gradient: DifferenceGradient, speed_m_s: float) -> list[NDArray[np.float64]]:

@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from geograph.blocks import Sums
     from geograph.families.base import Values
     from geograph.families.rays import End, World
-    from geograph.path import Path, PathState
+    from geograph.path import KinematicPathState, Path, PathState
 
 ARRIVALS, TIME_DIFFERENCES, FREQUENCY_DIFFERENCES = range(3)
 """Kinds of families, as the compiled code counts them."""
 
 _HERMITE = {order: flat(hermite_coefficients(order)) for order in (1, 2, 3)}
-_FALL, _MISS = _HERMITE[3], _HERMITE[2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,32 +140,107 @@ class RayKernel:
         relative: NDArray[np.float64] | None = None,
     ) -> None:
         self._kind = kind
-        self._world = world
         count = self._count = measured.size
         self._entries = merged.row.size
         self._start = start
-        self._head = (kind, rounds, count, start.size)
         pieces = world.geometry.pieces
-        self._sensors = (
-            *(pieces.first.size - 1, pieces.edges_s.size, world.speed_m_s, world.spin_rad_s),
-            enough,
-        )
-        self._columns = (
-            *(indices(np.append(start, count)), pieces.first, pieces.edges_s, pieces.parts),
-            *map(flat, (measured, time_s, sigma, carrier_hz, relative)),
-        )
-        self._ends: list[tuple[Any, ...]] = []
+        given: list[Any] = [kind, rounds, count, start.size, world.states.size, self._entries]
+        given += [pieces.first.size - 1, pieces.edges_s.size]
+        given += [world.speed_m_s, world.spin_rad_s, enough]
+        given += [indices(np.append(start, count)), pieces.first, pieces.edges_s, pieces.parts]
+        given += map(flat, (measured, time_s, sigma, carrier_hz, relative))
+        given += map(indices, (merged.row, merged.column))
         for end, target in zip(ends, merged.target, strict=True):
             own = end.terms.constants
             # Entries are sorted by row.
             first = np.searchsorted(own.row, np.arange(count + 1))
-            self._ends.append(
-                (
-                    own.row.size,
-                    *map(indices, (end.sensor, first, own.channel, own.column, target)),
-                    flat(own.basis),
-                )
-            )
+            given.append(own.row.size)
+            given += map(indices, (end.sensor, first, own.channel, own.column, target))
+            given.append(flat(own.basis))
+        self._given = given
+        self._plan = compiled.radio_plan(*given)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what another process makes anew."""
+        return {name: value for name, value in vars(self).items() if name != "_plan"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Lay out the arrays again."""
+        vars(self).update(state)
+        self._plan = compiled.radio_plan(*self._given)
+
+    def _point(
+        self,
+        path: Path,
+        state: PathState,
+        values: Values,
+        *,
+        white: NDArray[np.float64],
+        emitted_s: NDArray[np.float64] | None,
+        delays_s: Sequence[NDArray[np.float64] | None],
+    ) -> tuple[tuple[Any, ...], NDArray[np.float64], list[NDArray[np.float64]]]:
+        """Return what every call is given, and the times of emission and delays among it."""
+        delays = [
+            np.zeros(self._count) if delay is None else np.array(delay, dtype=np.float64)
+            for delay in delays_s
+        ]
+        known = emitted_s is not None
+        emitted = np.array(emitted_s, dtype=np.float64) if known else np.empty(self._count)
+        order: int = path.order
+        hermite = (_HERMITE[path.order], None)
+        if isinstance(state, BallisticPathState):
+            order, hermite = 0, (_HERMITE[3], _HERMITE[2])
+        point = (
+            *(self._plan, path.knots_s.size, order, flat(path.knots_s), flat(state.basis)),
+            *(*hermite, known, flat(white), flat(values.constants), emitted, *delays),
+        )
+        return point, emitted, delays
+
+    def sums(
+        self,
+        path: Path,
+        state: KinematicPathState,
+        values: Values,
+        *,
+        white: NDArray[np.float64],
+        emitted_s: NDArray[np.float64] | None,
+        delays_s: Sequence[NDArray[np.float64] | None],
+        weight: NDArray[np.float64] | None,
+        common: tuple[NDArray[np.float64] | None, NDArray[np.float64] | None],
+        scale: NDArray[np.float64],
+        total: Sums | None,
+    ) -> tuple[float, NDArray[np.float64], list[NDArray[np.float64]]]:
+        """Add all measurements up at one point, without walks of their own and without a loss.
+
+        Parameters
+        ----------
+        path, state, values, white, emitted_s, delays_s
+            As of :meth:`run`; the path is a kinematic one.
+        weight
+            Shape (n,): fixed weights, or None for ones.
+        common
+            Shapes (n,), (g,): derivatives by shared unknowns, and the information of their priors;
+            of differences whose rows share anything.
+        scale
+            Shape (3 order,): scales of the path's components, SI.
+        total
+            Changed in place, as by :meth:`geograph.blocks.BlockSum.add`; None: the cost alone.
+
+        Returns
+        -------
+        cost, emitted_s, delays_s
+            The sum is left out where the cost is not a number.
+        """
+        point, emitted, delays = self._point(
+            path, state, values, white=white, emitted_s=emitted_s, delays_s=delays_s
+        )
+        held, information = common
+        cost = compiled.radio_sums(
+            *point,
+            *(flat(weight), flat(held), flat(information), values.walks.shape[1], flat(scale)),
+            *((None, None) if total is None else (total.knots, total.others)),
+        )
+        return cost, emitted, delays
 
     def run(
         self,
@@ -198,12 +273,9 @@ class RayKernel:
         """
         count, falls = self._count, isinstance(state, BallisticPathState)
         width = 8 if falls else 2 * path.order
-        delays = [
-            np.zeros(count) if delay is None else np.array(delay, dtype=np.float64)
-            for delay in delays_s
-        ]
-        known = emitted_s is not None
-        emitted = np.empty(count) if emitted_s is None else np.array(emitted_s, dtype=np.float64)
+        point, emitted, delays = self._point(
+            path, state, values, white=white, emitted_s=emitted_s, delays_s=delays_s
+        )
         residual, interval = np.empty(count), np.empty(count, dtype=np.int64)
         by_common = np.empty(count) if self._kind == ARRIVALS else None
         by_ends = [np.empty((count, CHANNELS)) for _ in delays] if channels else []
@@ -214,18 +286,12 @@ class RayKernel:
             if self._kind == FREQUENCY_DIFFERENCES:
                 by_velocity, rates = np.empty((count, 3)), np.empty((count, width))
         ends: list[Any] = []
-        for index, (fixed, chain, delay) in enumerate(zip(self._ends, chains, delays, strict=True)):
-            ends += (*fixed, chain, delay, by_ends[index] if channels else None)
+        for index, chain in enumerate(chains):
+            ends += (chain, by_ends[index] if channels else None)
         finite = compiled.radio(
-            *self._head,
-            *(values.constants.size, self._entries),
-            *self._sensors,
-            *self._columns,
+            *point,
             *ends,
-            *(path.knots_s.size, 0 if falls else path.order, flat(path.knots_s), flat(state.basis)),
-            *((_FALL, _MISS) if falls else (_HERMITE[path.order], None)),
-            *(known, flat(white), flat(values.constants)),
-            *(emitted, residual, interval, by_common),
+            *(residual, interval, by_common),
             *(by_position, by_velocity, weights, rates, by_constants),
         )
         by_path: NDArray[np.float64] | ByPosition | None = None

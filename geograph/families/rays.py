@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from geograph.blocks import Sums
     from geograph.common import Common
     from geograph.factors.arrival import Ray
     from geograph.families.ray_kernel import RayKernelResult
@@ -424,6 +425,40 @@ class RayFamily(SensorFamily):
             *self._chain_entries(path, interval, by_ends),
             self._shared_unknowns(self._by_common(found)),
         )
+
+    def add_to(
+        self,
+        total: Sums | None,
+        path: Path,
+        state: PathState,
+        values: Values,
+        *,
+        weight: NDArray[np.float64] | None,
+        scale: NDArray[np.float64],
+    ) -> float | None:
+        """Add all measurements up at once, in compiled code; see :meth:`Family.add_to`."""
+        kernel = self._kernel_for(state)
+        if kernel is None or self._chained or not isinstance(state, KinematicPathState):
+            return None
+        cost, emitted, self._delays[:] = kernel.sums(
+            path,
+            state,
+            values,
+            white=self._white,
+            emitted_s=self._emitted,
+            delays_s=self._delays,
+            weight=weight,
+            common=self._shared_prior(),
+            scale=scale,
+            total=total,
+        )
+        if np.isfinite(cost):
+            self._emitted = emitted
+        return cost
+
+    def _shared_prior(self) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
+        """Return derivatives by shared unknowns and what their priors hold, if these are fixed."""
+        return None, None
 
     def _evaluate_compiled(
         self, kernel: RayKernel, path: Path, state: PathState, values: Values, *, jacobian: bool

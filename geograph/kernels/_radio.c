@@ -105,6 +105,7 @@ typedef struct {
     double *by_place, *by_rate;
     int64_t *interval;
     double *errors[2], *work;
+    Size stride[2]; /* from a row's errors to the next one's: 0 where none are estimated */
 } Radio;
 
 typedef struct {
@@ -221,13 +222,26 @@ INLINE void arrival_slope(const Ray *ray, Slope *slope)
 {
     double rate = ray->speed + dot(ray->unit, ray->sensor_inertial), by[3];
     memset(slope, 0, sizeof *slope);
+    double inverse = 1.0 / rate;
     for (int j = 0; j < 3; j++) {
-        by[j] = ray->unit[j] / rate;
+        by[j] = ray->unit[j] * inverse;
         slope->sensor[j] = -by[j];
     }
     turn(-ray->sine, ray->cosine, by, slope->position);
-    slope->emission = (ray->speed + dot(ray->unit, ray->inertial)) / rate;
-    slope->speed = -ray->distance / rate;
+    slope->emission = (ray->speed + dot(ray->unit, ray->inertial)) * inverse;
+    slope->speed = -ray->distance * inverse;
+}
+
+/* The same by the time of emission alone. */
+INLINE double by_emission(const Ray *ray)
+{
+    return (ray->speed + dot(ray->unit, ray->inertial)) /
+           (ray->speed + dot(ray->unit, ray->sensor_inertial));
+}
+
+INLINE const double *errors_of(const Radio *all, Size which, Size i)
+{
+    return all->errors[which] + i * all->stride[which];
 }
 
 /* factors/arrival.py: doppler. */
@@ -322,11 +336,10 @@ INLINE void emissions_of_arrivals(const Radio *all)
     double *late = all->work, *rate = late + all->n;
     OnWay object = {0};
     Ray ray;
-    Slope slope;
     for (Size k = 0; !all->known && k < all->g; k++) {
         Size first = (Size)all->start[k], count = (Size)all->start[k + 1] - first;
         for (Size i = 0; i < count; i++)
-            late[i] = all->measured[first + i] - all->errors[0][(first + i) * CHANNELS + CLOCK];
+            late[i] = all->measured[first + i] - errors_of(all, 0, first + i)[CLOCK];
         all->emitted[first] = median(count, late);
     }
     for (int round = 0; round < all->rounds; round++) {
@@ -336,11 +349,10 @@ INLINE void emissions_of_arrivals(const Radio *all)
             double emitted = all->emitted[first];
             read_way(&all->way, emitted, &object);
             for (Size i = first; i < first + count; i++) {
-                const double *errors = all->errors[0] + i * CHANNELS;
+                const double *errors = errors_of(all, 0, i);
                 trace(all, end, i, errors, emitted, &object, 1, &ray);
-                arrival_slope(&ray, &slope);
                 late[i - first] = all->measured[i] - errors[CLOCK] - ray.tau - emitted;
-                rate[i - first] = slope.emission;
+                rate[i - first] = by_emission(&ray);
             }
             double miss = median(count, late), by = median(count, rate);
             by = copysign(fmax(fabs(by), LEAST_RATE), by);
@@ -360,16 +372,14 @@ INLINE void emissions_of_arrivals(const Radio *all)
 /* families/differences.py: _emission_times, of one group. */
 INLINE void emission_of_difference(const Radio *all, Size first, OnWay *object)
 {
-    const double *errors = all->errors[1] + first * CHANNELS;
+    const double *errors = errors_of(all, 1, first);
     double received = all->time[first] - errors[CLOCK];
     double emitted = all->known ? all->emitted[first] : received;
     Ray ray;
-    Slope slope;
     for (int round = 0; round < all->rounds; round++) {
         read_way(&all->way, emitted, object);
         trace(all, &all->end[1], first, errors, emitted, object, 1, &ray);
-        arrival_slope(&ray, &slope);
-        double step = (received - emitted - ray.tau) / slope.emission;
+        double step = (received - emitted - ray.tau) / by_emission(&ray);
         emitted += step;
         if (!(fabs(step) > all->enough + 4.0 * 2.220446049250313e-16 * fabs(emitted)))
             break;
@@ -398,12 +408,11 @@ INLINE void put_row(const Radio *all, Size i, const OnWay *object, const double 
         memcpy(all->by_rate + i * width, object->by_rate, sizeof(double) * (size_t)width);
     for (Size which = 0; which < all->ends; which++) {
         const End *end = &all->end[which];
-        for (int j = 0; j < CHANNELS; j++)
-            channels[which][j] *= white;
-        if (end->by_channel != NULL)
-            memcpy(end->by_channel + i * CHANNELS, channels[which], sizeof(double) * CHANNELS);
+        for (int j = 0; j < CHANNELS && end->by_channel != NULL; j++)
+            end->by_channel[i * CHANNELS + j] = white * channels[which][j];
         for (Size k = (Size)end->first[i]; k < (Size)end->first[i + 1]; k++)
-            all->by_constants[end->target[k]] += channels[which][end->channel[k]] * end->basis[k];
+            all->by_constants[end->target[k]] +=
+                white * channels[which][end->channel[k]] * end->basis[k];
     }
 }
 
@@ -411,12 +420,13 @@ INLINE void put_row(const Radio *all, Size i, const OnWay *object, const double 
 INLINE void arrivals_of(const Radio *all, Size k, OnWay *object)
 {
     Size first = (Size)all->start[k];
-    double emitted = all->emitted[first], coarse = spacing(emitted), channels[2][CHANNELS];
+    double emitted = all->emitted[first], coarse = spacing(emitted);
+    double channels[1][CHANNELS] = {{0.0}};
     Ray ray;
     Slope slope;
     read_way(&all->way, emitted, object);
     for (Size i = first; i < (Size)all->start[k + 1]; i++) {
-        const double *errors = all->errors[0] + i * CHANNELS;
+        const double *errors = errors_of(all, 0, i);
         trace(all, &all->end[0], i, errors, emitted, object, 0, &ray);
         arrival_slope(&ray, &slope);
         all->emitted[i] = emitted;
@@ -428,7 +438,6 @@ INLINE void arrivals_of(const Radio *all, Size k, OnWay *object)
         all->by_common[i] = all->white[i] * slope.emission;
         if (all->by_position == NULL)
             continue;
-        memset(channels[0], 0, sizeof channels[0]);
         channels[0][CLOCK] = 1.0;
         memcpy(channels[0] + POSITION, slope.sensor, sizeof slope.sensor);
         channels[0][SPEED] = slope.speed / ray.speed;
@@ -442,7 +451,7 @@ INLINE void differences_of(const Radio *all, Size k, OnWay *object)
     Size first = (Size)all->start[k];
     int rates = all->kind == FREQUENCY_DIFFERENCES;
     emission_of_difference(all, first, object);
-    const double emitted = all->emitted[first], *reference = all->errors[1] + first * CHANNELS;
+    const double emitted = all->emitted[first], *reference = errors_of(all, 1, first);
     Ray held, ray;
     Slope to_held, to_one, other, one, *own = rates ? &one : &to_one;
     double acceleration[3], shift = 0.0, carrier = NAN;
@@ -455,7 +464,7 @@ INLINE void differences_of(const Radio *all, Size k, OnWay *object)
     if (rates)
         shift = doppler(&held);
     for (Size i = first; i < (Size)all->start[k + 1]; i++) {
-        const double *errors = all->errors[0] + i * CHANNELS;
+        const double *errors = errors_of(all, 0, i);
         double channels[2][CHANNELS], by_position[3], by_velocity[3], by_reference[3], value;
         trace(all, &all->end[0], i, errors, emitted, object, 0, &ray);
         all->end[1].delay[i] = held.tau;
@@ -509,6 +518,10 @@ static void read_errors(const Radio *all)
     for (Size which = 0; which < all->ends; which++) {
         const End *end = &all->end[which];
         double *errors = all->errors[which];
+        if (all->stride[which] == 0) {
+            memset(errors, 0, sizeof(double) * CHANNELS);
+            continue;
+        }
         if (end->chains != NULL)
             memcpy(errors, end->chains, sizeof(double) * (size_t)(all->n * CHANNELS));
         else
@@ -568,7 +581,31 @@ static int radio_fits(const Radio *all)
     return fits;
 }
 
-static int read_end(Reader *reader, Radio *all, End *end)
+/* All that a solve does not change: checked once, and held until the capsule goes. */
+typedef struct {
+    Reader reader;
+    Radio all;
+    const int64_t *row, *column;
+    Size *first, *entry;
+} Plan;
+
+#define PLAN "geograph.kernels.radio_plan"
+
+static void drop(Plan *plan)
+{
+    release(&plan->reader);
+    free(plan->first);
+    free(plan);
+}
+
+static void drop_capsule(PyObject *capsule)
+{
+    Plan *plan = PyCapsule_GetPointer(capsule, PLAN);
+    if (plan != NULL)
+        drop(plan);
+}
+
+static int read_end(Reader *reader, const Radio *all, End *end)
 {
     end->e = whole(reader);
     end->sensor = integers(reader, all->n);
@@ -577,11 +614,127 @@ static int read_end(Reader *reader, Radio *all, End *end)
     end->column = integers(reader, end->e);
     end->target = integers(reader, end->e);
     end->basis = reals(reader, end->e);
-    end->chains = reals(reader, all->n * CHANNELS);
-    end->delay = results(reader, all->n);
-    end->by_channel = results(reader, all->n * CHANNELS);
-    return end->sensor && end->first && end->channel && end->column && end->target && end->basis &&
-           end->delay;
+    return end->sensor && end->first && end->channel && end->column && end->target && end->basis;
+}
+
+static PyObject *radio_plan(PyObject *self, PyObject *const *arguments, Size given)
+{
+    (void)self;
+    Plan *plan = calloc(1, sizeof *plan);
+    if (plan == NULL)
+        return PyErr_NoMemory();
+    Reader *reader = &plan->reader;
+    Radio *all = &plan->all;
+    start(reader, arguments, given);
+    all->kind = whole(reader);
+    all->rounds = (int)whole(reader);
+    Size n = all->n = whole(reader), g = all->g = whole(reader);
+    all->constants = whole(reader);
+    Size entries = all->entries = whole(reader);
+    all->movers.sensors = whole(reader);
+    all->movers.pieces = whole(reader);
+    all->speed_m_s = number(reader);
+    all->spin_rad_s = number(reader);
+    all->enough = number(reader);
+    if (!reader->failed && all->kind > FREQUENCY_DIFFERENCES) {
+        PyErr_SetString(PyExc_ValueError, "expected kind 0, 1 or 2");
+        reader->failed = 1;
+    }
+    all->ends = all->kind == ARRIVALS ? 1 : 2;
+    all->start = integers(reader, g + 1);
+    all->movers.first = integers(reader, all->movers.sensors + 1);
+    all->movers.edges = reals(reader, all->movers.pieces);
+    all->movers.parts = reals(reader, 12 * all->movers.pieces);
+    all->measured = reals(reader, n);
+    all->time = reals(reader, n);
+    all->sigma = reals(reader, n);
+    all->carrier = reals(reader, n);
+    all->relative = reals(reader, n);
+    plan->row = integers(reader, entries);
+    plan->column = integers(reader, entries);
+    int there = all->start && all->movers.first && all->movers.edges && all->movers.parts &&
+                all->measured && all->time && all->sigma && plan->row && plan->column &&
+                (all->kind != FREQUENCY_DIFFERENCES || (all->carrier && all->relative));
+    for (Size which = 0; which < all->ends; which++)
+        there = read_end(reader, all, &all->end[which]) && there;
+    if (!complete(reader, there)) {
+        drop(plan);
+        return NULL;
+    }
+    plan->first = malloc(sizeof(Size) * (size_t)(n + 2 + entries));
+    if (plan->first == NULL) {
+        drop(plan);
+        return PyErr_NoMemory();
+    }
+    plan->entry = plan->first + n + 2;
+    if (!radio_fits(all) || !within(entries, plan->column, all->constants) ||
+        !by_row(n, entries, plan->row, plan->first, plan->entry)) {
+        PyErr_SetString(PyExc_IndexError, "a group, sensor or entry is out of range");
+        drop(plan);
+        return NULL;
+    }
+    PyObject *capsule = PyCapsule_New(plan, PLAN, drop_capsule);
+    if (capsule == NULL)
+        drop(plan);
+    return capsule;
+}
+
+/* A plan, and where a call's own arrays go; the rest of them is read as the caller needs it. */
+static const Plan *planned(Reader *reader, Radio *all)
+{
+    PyObject *capsule = following(reader);
+    const Plan *plan = capsule == NULL ? NULL : PyCapsule_GetPointer(capsule, PLAN);
+    if (plan == NULL) {
+        reader->failed = 1;
+        memset(all, 0, sizeof *all);
+        return NULL;
+    }
+    *all = plan->all;
+    return plan;
+}
+
+static int read_point(Reader *reader, Radio *all)
+{
+    Way *way = &all->way;
+    way->knots = whole(reader);
+    way->order = whole(reader);
+    if (!reader->failed && (way->order > MOST_ORDER || way->knots < 1)) {
+        PyErr_SetString(PyExc_ValueError, "expected 0 to 3 blocks and a knot");
+        reader->failed = 1;
+    }
+    way->width = way->order ? 2 * way->order : MOST_WEIGHTS;
+    way->knots_s = reals(reader, way->knots);
+    way->basis = reals(reader, (way->knots > 1 ? way->knots - 1 : 1) * way->width * 3);
+    way->hermite = reals(reader, way->order ? 4 * way->order * way->order : 36);
+    way->miss = reals(reader, 16);
+    all->known = (int)whole(reader);
+    all->white = reals(reader, all->n);
+    all->values = reals(reader, all->constants);
+    all->emitted = results(reader, all->n);
+    for (Size which = 0; which < all->ends; which++)
+        if ((all->end[which].delay = results(reader, all->n)) == NULL)
+            return 0;
+    return way->knots_s && way->basis && way->hermite && (way->miss || way->order) &&
+           all->white && all->values && all->emitted;
+}
+
+/* Make room for the errors of all channels; 0 without memory. */
+static int room_for_errors(Radio *all)
+{
+    Size room[2] = {0, 0}, n = all->n;
+    for (Size which = 0; which < all->ends; which++) {
+        int estimated = all->end[which].e || all->end[which].chains != NULL;
+        all->stride[which] = estimated ? CHANNELS : 0;
+        room[which] = estimated ? n * CHANNELS : CHANNELS;
+    }
+    all->errors[0] = malloc(sizeof(double) * (size_t)(room[0] + room[1] + 2 * n));
+    if (all->errors[0] == NULL) {
+        PyErr_NoMemory();
+        return 0;
+    }
+    all->errors[1] = all->errors[0] + room[0];
+    all->work = all->errors[1] + room[1];
+    return 1;
 }
 
 static PyObject *radio(PyObject *self, PyObject *const *arguments, Size given)
@@ -589,91 +742,37 @@ static PyObject *radio(PyObject *self, PyObject *const *arguments, Size given)
     (void)self;
     Reader reader;
     Radio all;
-    memset(&all, 0, sizeof all);
     start(&reader, arguments, given);
-    all.kind = whole(&reader);
-    all.rounds = (int)whole(&reader);
-    Size n = all.n = whole(&reader), g = all.g = whole(&reader);
-    all.constants = whole(&reader);
-    all.entries = whole(&reader);
-    all.movers.sensors = whole(&reader);
-    all.movers.pieces = whole(&reader);
-    all.speed_m_s = number(&reader);
-    all.spin_rad_s = number(&reader);
-    all.enough = number(&reader);
-    if (!reader.failed && all.kind > FREQUENCY_DIFFERENCES) {
-        PyErr_SetString(PyExc_ValueError, "expected kind 0, 1 or 2");
-        reader.failed = 1;
+    planned(&reader, &all);
+    Size n = all.n;
+    int there = read_point(&reader, &all), finite = 1;
+    for (Size which = 0; which < all.ends; which++) {
+        all.end[which].chains = reals(&reader, n * CHANNELS);
+        all.end[which].by_channel = results(&reader, n * CHANNELS);
     }
-    all.ends = all.kind == ARRIVALS ? 1 : 2;
-    all.start = integers(&reader, g + 1);
-    all.movers.first = integers(&reader, all.movers.sensors + 1);
-    all.movers.edges = reals(&reader, all.movers.pieces);
-    all.movers.parts = reals(&reader, 12 * all.movers.pieces);
-    all.measured = reals(&reader, n);
-    all.time = reals(&reader, n);
-    all.sigma = reals(&reader, n);
-    all.carrier = reals(&reader, n);
-    all.relative = reals(&reader, n);
-    int there = all.start && all.movers.first && all.movers.edges && all.movers.parts &&
-                all.measured && all.time && all.sigma &&
-                (all.kind != FREQUENCY_DIFFERENCES || (all.carrier && all.relative));
-    for (Size which = 0; which < all.ends; which++)
-        there = read_end(&reader, &all, &all.end[which]) && there;
-    Way *way = &all.way;
-    way->knots = whole(&reader);
-    way->order = whole(&reader);
-    if (!reader.failed && (way->order > MOST_ORDER || way->knots < 1)) {
-        PyErr_SetString(PyExc_ValueError, "expected 0 to 3 blocks and a knot");
-        reader.failed = 1;
-    }
-    way->width = way->order ? 2 * way->order : MOST_WEIGHTS;
-    way->knots_s = reals(&reader, way->knots);
-    way->basis = reals(&reader, (way->knots > 1 ? way->knots - 1 : 1) * way->width * 3);
-    way->hermite = reals(&reader, way->order ? 4 * way->order * way->order : 36);
-    way->miss = reals(&reader, 16);
-    all.known = (int)whole(&reader);
-    all.white = reals(&reader, n);
-    all.values = reals(&reader, all.constants);
-    all.emitted = results(&reader, n);
     all.residual = results(&reader, n);
     all.interval = whole_results(&reader, n);
     all.by_common = results(&reader, n);
     all.by_position = results(&reader, 3 * n);
     all.by_velocity = results(&reader, 3 * n);
-    all.by_place = results(&reader, n * way->width);
-    all.by_rate = results(&reader, n * way->width);
+    all.by_place = results(&reader, n * all.way.width);
+    all.by_rate = results(&reader, n * all.way.width);
     all.by_constants = results(&reader, all.entries);
-    there = there && way->knots_s && way->basis && way->hermite && (way->miss || way->order) &&
-            all.white && all.values && all.emitted && all.residual && all.interval &&
-            (all.kind != ARRIVALS || all.by_common);
+    there = there && all.residual && all.interval && (all.kind != ARRIVALS || all.by_common);
     if (all.by_position != NULL)
         there = there && all.by_constants && all.by_place &&
                 ((all.by_velocity && all.by_rate) || all.kind != FREQUENCY_DIFFERENCES);
-    if (!complete(&reader, there)) {
+    if (!complete(&reader, there) || !room_for_errors(&all)) {
         release(&reader);
         return NULL;
     }
-    all.errors[0] = malloc(sizeof(double) * (size_t)(n * CHANNELS * all.ends + 2 * n + 1));
-    if (all.errors[0] == NULL) {
-        release(&reader);
-        return PyErr_NoMemory();
-    }
-    all.errors[1] = all.errors[0] + n * CHANNELS;
-    all.work = all.errors[0] + n * CHANNELS * all.ends;
-    int fits = radio_fits(&all), finite = 1;
     Py_BEGIN_ALLOW_THREADS
-    if (fits)
-        radio_all(&all);
-    for (Size i = 0; fits && i < n; i++)
+    radio_all(&all);
+    for (Size i = 0; i < n; i++)
         finite &= isfinite(all.emitted[i]) != 0;
     Py_END_ALLOW_THREADS
     free(all.errors[0]);
     release(&reader);
-    if (!fits) {
-        PyErr_SetString(PyExc_IndexError, "a group, sensor or entry is out of range");
-        return NULL;
-    }
     return PyBool_FromLong(finite);
 }
 
@@ -693,7 +792,27 @@ static int covers(Size groups, const int64_t *start, Size n)
     return fits;
 }
 
-/* common.py: settled, where no loss asks for weights of its own. */
+/* common.py: settled, where no loss asks for weights of its own. Without values before they are 0. */
+static void settle_all(Size groups, const int64_t *first, Size n, const double *residual,
+                       const double *slope, const double *weight, const double *information,
+                       const double *before, double *value, double *changed)
+{
+    for (Size k = 0; k < groups; k++) {
+        Size end = end_of(groups, first, k, n);
+        double pull = 0.0, hold = 0.0, start = before == NULL ? 0.0 : before[k];
+        for (Size i = (Size)first[k]; i < end; i++) {
+            double by = weight == NULL ? slope[i] : weight[i] * slope[i];
+            pull += by * (residual[i] - slope[i] * start);
+            hold += by * slope[i];
+        }
+        hold += information == NULL ? 0.0 : information[k];
+        /* Where every measurement of a group is left out, nothing moves its unknown. */
+        value[k] = hold > 0.0 ? -pull / hold : start;
+        for (Size i = (Size)first[k]; i < end; i++)
+            changed[i] = residual[i] + slope[i] * (value[k] - start);
+    }
+}
+
 static PyObject *settle(PyObject *self, PyObject *const *arguments, Size given)
 {
     (void)self;
@@ -711,20 +830,8 @@ static PyObject *settle(PyObject *self, PyObject *const *arguments, Size given)
         return NULL;
     }
     int fits = covers(groups, first, n);
-    for (Size k = 0; fits && k < groups; k++) {
-        Size end = end_of(groups, first, k, n);
-        double pull = 0.0, hold = 0.0;
-        for (Size i = (Size)first[k]; i < end; i++) {
-            double by = weight == NULL ? slope[i] : weight[i] * slope[i];
-            pull += by * (residual[i] - slope[i] * before[k]);
-            hold += by * slope[i];
-        }
-        hold += information[k];
-        /* Where every measurement of a group is left out, nothing moves its unknown. */
-        value[k] = hold > 0.0 ? -pull / hold : before[k];
-        for (Size i = (Size)first[k]; i < end; i++)
-            changed[i] = residual[i] + slope[i] * (value[k] - before[k]);
-    }
+    if (fits)
+        settle_all(groups, first, n, residual, slope, weight, information, before, value, changed);
     release(&reader);
     if (!fits) {
         PyErr_SetString(PyExc_IndexError, "a group is empty or out of range");
@@ -752,7 +859,7 @@ typedef struct {
 INLINE void take_up(const Shared *shared, Size k, const double *slope, Size count, Size last,
                     Size pad)
 {
-    double square = 0.0, information = shared->information[k], *restrict taken = shared->taken;
+    double square = 0.0, information = shared->information == NULL ? 0.0 : shared->information[k], *restrict taken = shared->taken;
     for (Size i = 0; i < count; i++)
         square += slope[i] * slope[i];
     double total = square + information;
@@ -915,6 +1022,38 @@ static int shared_fits(const Blocks *all, const Shared *shared)
     return fits;
 }
 
+/* Room for the products of groups, of no more rows than so many, and the index of their columns. */
+static double *room_for_groups(Shared *shared, Size knots, Size others, Size largest)
+{
+    Size wide = PADDED((knots > 6 ? knots : 6) + others);
+    Size most = wide * wide > largest ? wide * wide : largest;
+    double *room = malloc(sizeof(double) * (size_t)(most + largest * wide + 2 * wide));
+    shared->column = malloc(sizeof(Size) * (size_t)(2 * others));
+    if (room == NULL || shared->column == NULL) {
+        free(room);
+        free(shared->column);
+        return NULL;
+    }
+    shared->products = room;
+    shared->rows = room + most;
+    shared->taken = shared->rows + largest * wide;
+    shared->by_knots = shared->taken + wide;
+    shared->slot = shared->column + others;
+    for (Size j = 0; j < others; j++)
+        shared->slot[j] = -1;
+    return room;
+}
+
+static Size largest_group(Size groups, const int64_t *start, Size n)
+{
+    Size largest = 0;
+    for (Size k = 0; k < groups; k++) {
+        Size count = end_of(groups, start, k, n) - (Size)start[k];
+        largest = count > largest ? count : largest;
+    }
+    return largest;
+}
+
 static PyObject *add_shared(PyObject *self, PyObject *const *arguments, Size given)
 {
     (void)self;
@@ -975,33 +1114,20 @@ static PyObject *add_shared(PyObject *self, PyObject *const *arguments, Size giv
         release(&reader);
         return NULL;
     }
-    Size largest = 0;
     int fits = shared_fits(&all, &shared);
-    for (Size k = 0; fits && k < shared.groups; k++) {
-        Size count = end_of(shared.groups, shared.start, k, all.n) - (Size)shared.start[k];
-        largest = count > largest ? count : largest;
-    }
-    /* Products, which hold the slopes of a group first; its rows; what is taken up. */
-    Size wide = PADDED((knots > 6 ? knots : 6) + others);
-    Size most = wide * wide > largest ? wide * wide : largest;
-    double *room = malloc(sizeof(double) * (size_t)(most + largest * wide + 2 * wide));
-    Size *index = malloc(sizeof(Size) * (size_t)(2 * (all.n + 2) + all.e + all.f + 2 * others));
+    Size largest = fits ? largest_group(shared.groups, shared.start, all.n) : 0;
+    double *room = room_for_groups(&shared, knots, others, largest);
+    Size *index = malloc(sizeof(Size) * (size_t)(2 * (all.n + 2) + all.e + all.f));
     if (room == NULL || index == NULL) {
+        if (room != NULL)
+            free(shared.column);
         free(room);
         free(index);
         release(&reader);
         return PyErr_NoMemory();
     }
-    shared.products = room;
-    shared.rows = room + most;
-    shared.taken = shared.rows + largest * wide;
-    shared.by_knots = shared.taken + wide;
     Size *first_walk = index + all.n + 2, *entry = first_walk + all.n + 2;
     Size *entry_walk = entry + all.e;
-    shared.column = entry_walk + all.f;
-    shared.slot = shared.column + others;
-    for (Size j = 0; j < others; j++)
-        shared.slot[j] = -1;
     all.first = index;
     all.first_walk = first_walk;
     all.entry = entry;
@@ -1012,6 +1138,7 @@ static PyObject *add_shared(PyObject *self, PyObject *const *arguments, Size giv
     if (fits)
         add_groups(&all, &shared);
     Py_END_ALLOW_THREADS
+    free(shared.column);
     free(room);
     free(index);
     release(&reader);
@@ -1020,4 +1147,117 @@ static PyObject *add_shared(PyObject *self, PyObject *const *arguments, Size giv
         return NULL;
     }
     Py_RETURN_NONE;
+}
+
+/* Evaluate, settle and add up a family at once, where no loss asks for weights; returns its cost.
+   What lies between is kept here and dropped. */
+static double sums_of(Radio *all, Blocks *sums, Shared *shared, const double *weight, double *room)
+{
+    Size n = all->n, width = all->way.width, g = all->g;
+    int rates = all->kind == FREQUENCY_DIFFERENCES;
+    double *value = room + n, *root = value + g, *changed = root + n;
+    double cost = 0.0;
+    int added = sums->knots != NULL;
+    all->residual = room;
+    all->by_position = changed + n;
+    all->by_place = all->by_position + 3 * n;
+    all->by_velocity = rates ? all->by_place + width * n : NULL;
+    all->by_rate = rates ? all->by_velocity + 3 * n : NULL;
+    double *next = rates ? all->by_rate + width * n : all->by_place + width * n;
+    if (all->kind == ARRIVALS) {
+        shared->by_common = all->by_common = next;
+        next += n;
+    }
+    all->by_constants = next;
+    all->interval = (int64_t *)(next + all->entries);
+    if (!added)
+        all->by_position = all->by_constants = NULL;
+    radio_all(all);
+    sums->residual = all->residual;
+    if (shared->by_common != NULL) {
+        settle_all(g, all->start, n, all->residual, shared->by_common, weight,
+                   shared->information, NULL, value, changed);
+        sums->residual = changed;
+        for (Size k = 0; k < g && shared->information != NULL; k++)
+            cost += shared->information[k] * value[k] * value[k];
+    }
+    for (Size i = 0; i < n; i++) {
+        double square = sums->residual[i] * sums->residual[i];
+        cost += weight == NULL ? square : weight[i] * square;
+        root[i] = weight == NULL ? 1.0 : sqrt(weight[i]);
+    }
+    sums->interval = all->interval;
+    sums->by_path = all->by_position;
+    sums->weights = all->by_place;
+    sums->by_constants = all->by_constants;
+    sums->weight = weight == NULL ? NULL : root;
+    shared->by_velocity = all->by_velocity;
+    shared->rates = all->by_rate;
+    if (added && isfinite(cost))
+        add_groups(sums, shared);
+    return 0.5 * cost;
+}
+
+static PyObject *radio_sums(PyObject *self, PyObject *const *arguments, Size given)
+{
+    (void)self;
+    Reader reader;
+    Radio all;
+    Blocks sums;
+    Shared shared;
+    memset(&sums, 0, sizeof sums);
+    memset(&shared, 0, sizeof shared);
+    start(&reader, arguments, given);
+    const Plan *plan = planned(&reader, &all);
+    int there = read_point(&reader, &all);
+    Size n = all.n;
+    const double *weight = reals(&reader, n);
+    shared.by_common = reals(&reader, n);
+    shared.information = reals(&reader, all.g);
+    sums.walks = whole(&reader);
+    sums.constants = all.constants;
+    sums.order = all.way.order;
+    sums.path = 3 * sums.order;
+    sums.chained = all.way.knots > 1;
+    sums.intervals = sums.chained ? all.way.knots - 1 : 1;
+    sums.held = 1;
+    Size d = sums.path + sums.walks, knots = sums.chained ? 2 * d : d;
+    Size others = sums.constants + 1;
+    sums.scale = reals(&reader, sums.path);
+    sums.knots = results(&reader, sums.intervals * knots * (knots + others));
+    sums.others = results(&reader, others * others);
+    if (!reader.failed && sums.order == 0) {
+        PyErr_SetString(PyExc_ValueError, "expected weights of 1 to 3 blocks");
+        reader.failed = 1;
+    }
+    if (!complete(&reader, there && sums.scale && (sums.others || !sums.knots)) ||
+        !room_for_errors(&all)) {
+        release(&reader);
+        return NULL;
+    }
+    sums.n = n;
+    sums.r = 1;
+    sums.e = all.entries;
+    sums.constant_column = plan->column;
+    sums.first = plan->first;
+    sums.entry = plan->entry;
+    shared.groups = all.g;
+    shared.start = all.start;
+    double *room = malloc(sizeof(double) *
+                          (size_t)(n * (11 + 2 * all.way.width) + all.g + all.entries + 1));
+    double *groups = room_for_groups(&shared, knots, others, largest_group(all.g, all.start, n));
+    double cost = 0.0;
+    if (room != NULL && groups != NULL) {
+        Py_BEGIN_ALLOW_THREADS
+        cost = sums_of(&all, &sums, &shared, weight, room);
+        Py_END_ALLOW_THREADS
+    }
+    int made = room != NULL && groups != NULL;
+    if (groups != NULL)
+        free(shared.column);
+    free(groups);
+    free(room);
+    free(all.errors[0]);
+    release(&reader);
+    return made ? PyFloat_FromDouble(cost) : PyErr_NoMemory();
 }
