@@ -212,7 +212,8 @@ class Elimination(Factorisation):
         knot = np.zeros((d, size + 1))
         knot.reshape(-1)[:: size + 2] = system.prior_information
         knot[:, -1] = system.prior_gradient
-        other = np.eye(constants.size + 1)
+        other = np.zeros((constants.size + 1, constants.size + 1))
+        other.reshape(-1)[:: constants.size + 2] = 1.0
         other[:-1, -1] = other[-1, :-1] = constants
         self._half_log = self._square = 0.0
         if system.knots > 1:

@@ -71,8 +71,8 @@ class Path(ABC):
     def locate(self, time_s: NDArray[np.float64]) -> Place:
         """Return the place of times, shape (n,), among the knots."""
         last = max(self.knots_s.size - 2, 0)
-        interval = np.searchsorted(self.knots_s, time_s, side="right") - 1
-        interval = np.clip(interval, 0, last)
+        interval = self.knots_s.searchsorted(time_s, side="right") - 1
+        interval = np.minimum(np.maximum(interval, 0), last)
         offset = time_s - self.knots_s[interval]
         step = self.steps_s[interval]
         position, velocity = self._weights(step, offset)
