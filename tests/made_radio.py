@@ -124,10 +124,14 @@ def _received(rng, kind, world, truth, *, emitted, sensor):
 
 
 def _families(rng, kind, world, truth):
-    """Sets of arrivals of two to five sensors, and differences against the first of them."""
+    """Sets of arrivals of two to five sensors, and differences against the first of them.
+
+    One set is long: its sensors hear the emission several times.
+    """
     knots = truth[1]
     emitted = np.sort(rng.uniform(knots[0] - 1.0, knots[-1] + 1.0, 7))
-    sets = [rng.permutation(5)[: rng.integers(2, 6)] for _ in emitted]
+    sets = [rng.permutation(5)[: rng.integers(2, 6)] for _ in emitted[1:]]
+    sets.append(rng.integers(0, 5, 30))
     emission = np.repeat(np.arange(7), [own.size for own in sets])
     sensor = np.concatenate(sets)
     toa = _received(rng, kind, world, truth, emitted=emitted[emission], sensor=sensor)

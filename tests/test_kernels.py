@@ -1,6 +1,7 @@
 """Compiled code against the NumPy code that it stands in for: the same numbers to rounding."""
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -345,3 +346,39 @@ def test_an_old_build_is_not_used(monkeypatch):
     if compiled is not None:
         monkeypatch.setattr(compiled, "CLOCK", 99)
     assert kernels._load() is None
+
+
+@needs_compiled
+def test_a_plan_goes_to_another_process_and_back():
+    problem, values = radio_problem(np.random.default_rng(2), RadioKind())
+    copied = pickle.loads(pickle.dumps(problem))
+    assert copied.linearise(values).cost == problem.linearise(values).cost
+
+
+@needs_compiled
+def test_wrong_plans_and_groups_are_refused():
+    problem, values = radio_problem(np.random.default_rng(2), RadioKind())
+    plan = problem.families[0]._kernel._given
+    place = next(k for k, part in enumerate(plan) if isinstance(part, np.ndarray))
+    for what, changed in ((plan[place] + 1, "out of range"), (plan[place][:-1], "argument 11")):
+        with pytest.raises((IndexError, ValueError), match=changed):
+            compiled.radio_plan(*plan[:place], what, *plan[place + 1 :])
+    with pytest.raises(ValueError, match="kind 0, 1 or 2"):
+        compiled.radio_plan(3, *plan[1:])
+    with pytest.raises(TypeError, match="an array is missing"):
+        compiled.radio_plan(*plan[:place], None, *plan[place + 1 :])
+    for call in (compiled.radio, compiled.radio_sums):
+        with pytest.raises(ValueError, match="PyCapsule"):
+            call("no plan")
+        with pytest.raises(TypeError, match="too few arguments"):
+            call(problem.families[0]._kernel._plan)
+    one = np.ones(1)
+    with pytest.raises(IndexError, match="empty or out of range"):
+        compiled.settle(1, 1, np.ones(1, dtype=np.int64), one, one, None, one, one, one, one)
+    # Rows of one group in different intervals were not emitted together.
+    found = problem.evaluate(values, jacobian=True)[0]
+    apart = replace(found, interval=np.arange(found.interval.size) % 2)
+    total = blocks.Sums.zeros(problem.layout, 2)
+    with pytest.raises(IndexError, match="a group, interval"):
+        blocks.BlockSum(problem.layout, problem.path_scale).add(total, apart, None)
+    assert not total.knots.any()
