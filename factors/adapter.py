@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-import gtsam
 import numpy as np
 
 from geograph.errors import GeographError
@@ -18,6 +17,7 @@ from geograph.errors import GeographError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import gtsam
     from numpy.typing import NDArray
 
 
@@ -72,6 +72,9 @@ def vector_factor(
         Raises :class:`FactorError` when evaluated, if the function returns arrays of the wrong
         shape or values that are not finite.
     """
+    # Imported here: the engine that uses the equations alone does without GTSAM.
+    import gtsam
+
     expected = [(rows, size) for size in sizes]
     key_list = list(keys)
 

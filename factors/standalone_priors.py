@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-import gtsam
 import numpy as np
 
 from geograph.errors import InputError
@@ -17,6 +16,7 @@ from geograph.factors.terrain import height_above_terrain
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import gtsam
     from numpy.typing import ArrayLike, NDArray
 
     from geograph.factors.scene import Order
@@ -188,6 +188,8 @@ def prior_factor(key: int, mean: ArrayLike, sigmas: Sequence[float]) -> gtsam.Pr
     InputError
         If lengths differ, a mean is not finite or a sigma not positive.
     """
+    import gtsam
+
     center, spread = np.asarray(mean, dtype=np.float64), np.asarray(sigmas, dtype=np.float64)
     if center.ndim != 1 or center.shape != spread.shape or not np.isfinite(center).all():
         raise InputError(

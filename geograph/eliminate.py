@@ -16,12 +16,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import lapack
 
-from geograph.sweep import Marginals, NotPositiveDefiniteError, chain_marginals, substitute, sweep
+from geograph.sweep import (
+    Ends,
+    Marginals,
+    NotPositiveDefiniteError,
+    Sweep,
+    chain_marginals,
+    substitute,
+    sweep,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -133,8 +141,6 @@ class Factorisation(ABC):
 
     system: LinearSystem
     damping: float
-    _back: NDArray[np.float64]
-    _spread: NDArray[np.float64]
     _final_root: NDArray[np.float64]
     _final_gradient: NDArray[np.float64]
 
@@ -146,9 +152,14 @@ class Factorisation(ABC):
         """Return the decrease of the cost that the linear model predicts for the solution."""
 
     @property
+    @abstractmethod
+    def turned_back(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """``back``, shape (K - 1, d, d + s + 1), and ``spread``, shape (K - 1, d, d)."""
+
+    @property
     def back(self) -> NDArray[np.float64]:
         """Shape (K - 1, d, d + s + 1): x[k] = back (x[k+1], constants, 1) + what is free."""
-        return self._back
+        return self.turned_back[0]
 
     def solve(self) -> Step:
         """Return the increments that minimise the (damped) linear model."""
@@ -157,16 +168,18 @@ class Factorisation(ABC):
         constants = last[d:]
         knots = last[None, :d]
         if self.system.knots > 1:
-            knots = substitute(self._back, last[:d], constants)
+            knots = self._substituted(last[:d], constants)
         return Step(knots, constants, self._decrease(knots, constants))
+
+    def _substituted(
+        self, last: NDArray[np.float64], constants: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the increments of all knots from those of the last."""
+        return substitute(self.back, last, constants)
 
     def marginals(self) -> Marginals:
         """Return all marginal covariances; see :func:`chain_marginals`."""
-        d = self.system.knot_size
-        if self.system.knots > 1:
-            return chain_marginals(self._back, self._spread, self._final_root)
-        none = np.empty((0, d, self._final_root.shape[0] + 1)), np.empty((0, d, d))
-        return chain_marginals(*none, self._final_root)
+        return chain_marginals(*self.turned_back, self._final_root)
 
     @abstractmethod
     def half_log_determinant(self) -> float:
@@ -216,20 +229,15 @@ class Elimination(Factorisation):
         other.reshape(-1)[:: constants.size + 2] = 1.0
         other[:-1, -1] = other[-1, :-1] = constants
         self._half_log = self._square = 0.0
+        self._swept: Sweep | Ends | None = None
         if system.knots > 1:
-            found = sweep(
-                knot,
-                blocks=system.blocks,
-                inverse_transition=self._a,
-                noise_root=system.noise_root,
-                noise_residual=system.noise_residual,
-                damping=damping,
-                ends=True,
-                noise=noise,
+            found = self._swept = self._sweep(knot, noise)
+            last, share = (
+                (found.knot, found.share)
+                if isinstance(found, Ends)
+                else (found.knots[0], found.shares[0])
             )
-            knot, other = found.knots[0], other + found.shares[0]
-            self.inverse_roots, self.gain = found.inverse_roots, found.gain
-            self._back, self._spread = found.back, found.spread
+            knot, other = last, other + share
             self._half_log, self._square = found.half_log, found.square
         else:
             knot = knot + system.blocks.knots[0]
@@ -244,6 +252,38 @@ class Elimination(Factorisation):
             raise NotPositiveDefiniteError
         self._final_root = root
         self._final_gradient = np.concatenate([knot[:, -1], other[:-1, -1]])
+
+    def _sweep(self, knot: NDArray[np.float64], noise: bool) -> Sweep | Ends:
+        system = self.system
+        given: dict[str, Any] = {
+            "blocks": system.blocks,
+            "inverse_transition": self._a,
+            "noise_root": system.noise_root,
+            "noise_residual": system.noise_residual,
+            "damping": self.damping,
+        }
+        if not noise:
+            return Ends(knot, **given)
+        found = sweep(knot, **given, ends=True, noise=True)
+        self.inverse_roots, self.gain = found.inverse_roots, found.gain
+        return found
+
+    @property
+    def turned_back(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """``back`` and ``spread``."""
+        if self._swept is None:
+            d = self.system.knot_size
+            return np.empty((0, d, self._final_root.shape[0] + 1)), np.empty((0, d, d))
+        if isinstance(self._swept, Ends):
+            return self._swept.turned_back
+        return self._swept.back, self._swept.spread
+
+    def _substituted(
+        self, last: NDArray[np.float64], constants: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        if isinstance(self._swept, Ends):
+            return self._swept.substitute(last, constants)
+        return super()._substituted(last, constants)
 
     def _decrease(self, knots: NDArray[np.float64], constants: NDArray[np.float64]) -> float:
         # With the damped information H, -gradient.step = gradient' H^-1 gradient is the sum of the

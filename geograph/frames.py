@@ -195,6 +195,14 @@ class SensorGeometry:
             axes[rows], rate[rows] = self.celestial.at(time_s[rows])
         return SensorPoses(position, velocity, axes, rate)
 
+    @cached_property
+    def at_rest(self) -> SensorPoses | None:
+        """Poses of all sensors in their order, if none moves or turns; otherwise None."""
+        if self._movers or self.against_stars.any():
+            return None
+        every = np.arange(len(self.sensors))
+        return self.poses(every, np.zeros(every.size))
+
     def stars(
         self, sensor: NDArray[np.int64], time_s: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], Stars] | None:

@@ -153,6 +153,11 @@ class GtsamElimination(Factorisation):
         self._final_root = np.ascontiguousarray(upper.T)
         self._final_gradient = -upper.T @ right
 
+    @property
+    def turned_back(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """``back`` and ``spread``."""
+        return self._back, self._spread
+
     def _decrease(self, knots: NDArray[np.float64], constants: NDArray[np.float64]) -> float:
         """Return half of -gradient.step, and the damping."""
         system = self.system

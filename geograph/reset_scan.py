@@ -336,7 +336,7 @@ def rows_covariance(
     bounds = np.searchsorted(at, np.arange(at[0], at[-1] + 2))
     for k in range(int(at[-1]), int(at[0]) - 1, -1):
         low, high = bounds[k - at[0]], bounds[k - at[0] + 1]
-        back = elimination._back[k]
+        back = elimination.back[k]
         later = ahead[:, high:]
         now = back[:, :d] @ later + back[:, d : d + s] @ with_constants[high:].T
         if high > low:

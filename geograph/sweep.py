@@ -6,7 +6,7 @@ at once, or interval by interval as measurements arrive (:mod:`geograph.incremen
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from geograph.blocks import Sums
+
+
+# What the compiled sweep keeps of each interval, as it names them.
+_TURNED, _ALL, _LATER = range(3)
 
 
 class NotPositiveDefiniteError(ArithmeticError):
@@ -114,7 +118,8 @@ def sweep(
     """
     if compiled is not None:
         given = (inverse_transition, noise_root, noise_residual)
-        return _compiled_sweep(knot, blocks, given, damping=damping, ends=ends, noise=noise)
+        kept = _ALL if noise else _TURNED
+        return _compiled_sweep(knot, blocks, given, damping=damping, ends=ends, kept=kept)
     d = knot.shape[0]
     # x[k] = A x[k+1] - B w.
     scaled_root = inverse_transition @ noise_root
@@ -164,22 +169,111 @@ def _compiled_sweep(
     *,
     damping: float,
     ends: bool,
-    noise: bool,
+    kept: int,
 ) -> Sweep:
-    """Return what :func:`sweep` does, from compiled code."""
+    """Return what :func:`sweep` does, from compiled code.
+
+    With ``_LATER`` its ``gain`` are the rows of the noise, of which ``back`` and ``spread``, empty
+    there, are made when they are asked for.
+    """
     d, width = knot.shape
     count, rest = blocks.knots.shape[0], width - d
     held = 1 if ends else count
     knots, shares = np.empty((held, d, width)), np.empty((held, rest, rest))
-    back, spread = np.empty((count, d, width)), np.empty((count, d, d))
-    inverse_roots, gain = (np.empty((count * noise, d, size)) for size in (d, width))
+    now, beside = (count if kept != _LATER else 0), (count if kept != _TURNED else 0)
+    back, spread = np.empty((now, d, width)), np.empty((now, d, d))
+    inverse_roots, gain = np.empty((beside, d, d)), np.empty((beside, d, width))
     sums = np.empty(2)
     summed = blocks.others.sum(axis=0) if ends else blocks.others
     arrays = map(flat, (knot, blocks.knots, summed, *given))
     results = (knots, shares, back, spread, sums, inverse_roots, gain)
-    if not compiled.sweep(count, d, rest, int(ends), int(noise), damping, *arrays, *results):
+    if not compiled.sweep(count, d, rest, int(ends), kept, damping, *arrays, *results):
         raise NotPositiveDefiniteError
     return Sweep(knots, shares, back, spread, float(sums[0]), float(sums[1]), inverse_roots, gain)
+
+
+class Ends:
+    """What a sweep says of the last knot and the constants; of the others when it is asked.
+
+    Most systems are solved for a step alone. What covariances take (:attr:`turned_back`) is half as
+    much work again, and is made the first time it is read.
+
+    Parameters
+    ----------
+    knot, blocks, inverse_transition, noise_root, noise_residual, damping
+        As of :func:`sweep`.
+
+    Attributes
+    ----------
+    knot
+        Shape (d, d + s + 1): rows of the last knot over (knot, constants, gradient).
+    share
+        Shape (s + 1, s + 1): what all intervals add to the rows of (constants, gradient).
+    half_log, square
+        As of :class:`Sweep`.
+
+    Raises
+    ------
+    NotPositiveDefiniteError
+        If the information of a noise is not positive definite.
+    """
+
+    def __init__(
+        self,
+        knot: NDArray[np.float64],
+        *,
+        blocks: Sums,
+        inverse_transition: NDArray[np.float64],
+        noise_root: NDArray[np.float64],
+        noise_residual: NDArray[np.float64],
+        damping: float = 0.0,
+    ) -> None:
+        given = inverse_transition, noise_root, noise_residual
+        self._by = inverse_transition, noise_root
+        if compiled is not None:
+            found = _compiled_sweep(knot, blocks, given, damping=damping, ends=True, kept=_LATER)
+        else:
+            found = sweep(
+                knot,
+                blocks=blocks,
+                inverse_transition=inverse_transition,
+                noise_root=noise_root,
+                noise_residual=noise_residual,
+                damping=damping,
+                ends=True,
+            )
+        self.knot, self.share = found.knots[0], found.shares[0]
+        self.half_log, self.square = found.half_log, found.square
+        self._found = found
+
+    @property
+    def turned_back(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """``back`` and ``spread`` of :class:`Sweep`."""
+        found = self._found
+        if found.gain.size:
+            count, d, width = found.gain.shape
+            back, spread = np.empty((count, d, width)), np.empty((count, d, d))
+            arrays = map(flat, (*self._by, found.inverse_roots, found.gain))
+            compiled.turn_back(count, d, width - d, *arrays, back, spread)
+            # What they were made of goes: it is as large as they are.
+            none = found.inverse_roots[:0].copy(), found.gain[:0].copy()
+            found = replace(found, back=back, spread=spread, inverse_roots=none[0], gain=none[1])
+            self._found = found
+        return found.back, found.spread
+
+    def substitute(
+        self, last: NDArray[np.float64], constants: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the increments of all knots; see :func:`substitute`."""
+        found = self._found
+        if not found.gain.size:
+            return substitute(found.back, last, constants)
+        count, d, width = found.gain.shape
+        knots = np.empty((count + 1, d))
+        knots[count] = last
+        arrays = map(flat, (*self._by, found.inverse_roots, found.gain, constants))
+        compiled.substitute_later(count, d, width - d, *arrays, knots)
+        return knots
 
 
 def _turned_rows(

@@ -322,6 +322,12 @@ def test_help_needs_no_heavy_library():
     assert "smooth" in done.stdout
 
 
+def test_the_batch_engine_does_without_gtsam():
+    """Which takes a seventh of a second to load."""
+    code = "import sys, geograph.smoother; sys.exit('gtsam' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
 def on_terminal(*arguments):
     """Run the command on a pseudo-terminal and return what it showed."""
     here, there = pty.openpty()

@@ -182,7 +182,9 @@ def random_system(rng, count, d, s):
 
 
 @needs_compiled
-@pytest.mark.parametrize(("count", "d", "s"), [(1, 9, 4), (7, 6, 0), (30, 13, 20), (5, 3, 1)])
+@pytest.mark.parametrize(
+    ("count", "d", "s"), [(1, 9, 4), (7, 6, 0), (30, 13, 20), (5, 3, 1), (40, 9, 32), (2, 27, 40)]
+)
 def test_sweep_back_substitution_and_marginals(count, d, s):
     rng = np.random.default_rng(count)
     knot, system = random_system(rng, count, d, s)
@@ -198,6 +200,16 @@ def test_sweep_back_substitution_and_marginals(count, d, s):
             sweep.chain_marginals(found.back, found.spread, root),
         )
 
+    def ends():
+        found = sweep.Ends(knot, **system, damping=0.3)
+        steps = found.substitute(last, constants)
+        both = found.turned_back
+        # By another way, once these are there.
+        alike(found.substitute(last, constants), steps, "substitute")
+        return (found.knot, found.share, found.half_log, found.square, steps, *both)
+
+    for found, other in zip(ends(), in_numpy(ends), strict=True):
+        alike(found, other, "ends")
     ours, reference = work(), in_numpy(work)
     alike(ours[2], reference[2], "substitute")
     for found, other in zip(ours[:2] + ours[3:], reference[:2] + reference[3:], strict=True):

@@ -257,6 +257,18 @@ def test_honest_draws_score_as_honest_and_others_do_not():
     assert proud["over_time"]["anees_share_in_band"] == 0.0
 
 
+def test_by_run_a_wide_geometry_weighs_no_more_than_others():
+    """A wide run twice as good as its bound says hides 400 honest ones from RMSE/bound."""
+    runs = made(np.random.default_rng(5), 400)
+    runs += [replace(run, square_m2=0.25e6 * run.square_m2, bound_m2=1e6 * run.bound_m2)
+             for run in made(np.random.default_rng(6), 1)]  # fmt: skip
+    found = point_figures(runs)
+    assert found["rmse_over_bound"] < 0.7
+    error = found["rmse_over_bound_by_run_error"]
+    assert error < 0.02
+    assert abs(found["rmse_over_bound_by_run"] - 1.0) < 4.0 * error
+
+
 def test_what_a_run_does_not_reach_does_not_count():
     runs = made(np.random.default_rng(0), 10, axes=2)
     short = replace(runs[0], nees=runs[0].nees.copy(), square_m2=runs[0].square_m2.copy())

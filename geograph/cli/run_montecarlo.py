@@ -157,7 +157,8 @@ def _write(figures: dict[str, Any], request: Request) -> None:
 def study_text(figures: Mapping[str, Any], request: Request) -> str:
     """Return the table printed after a study."""
     swept = list(figures["sweep"])
-    header = [*swept, "converged", "RMSE (m)", "bound (m)", "RMSE/bound", "ANEES", "KL"]
+    header = [*swept, "converged", "RMSE (m)", "bound (m)", "RMSE/bound", "by run"]
+    header += ["ANEES", "KL"]
     rows = [[*header, "in 50 %", "90 %", "95 %", "99 %"]]
     rows += [_row(point, swept) for point in figures["points"]]
     parts = [
@@ -188,10 +189,11 @@ def _row(point: Mapping[str, Any], swept: Sequence[str]) -> list[str]:
     row = [_shown(point["set"][key]) for key in swept]
     row.append(f"{point['converged']}/{point['runs']}")
     if not point["converged"]:
-        return [*row, *["-"] * 9]
+        return [*row, *["-"] * 10]
     row += [_number(point["rmse_m"]), _number(point["bound_m"])]
     row += [
         _with_error(point["rmse_over_bound"], point["rmse_over_bound_error"]),
+        _with_error(point["rmse_over_bound_by_run"], point["rmse_over_bound_by_run_error"]),
         _with_error(point["anees"], point["anees_error"]),
         _with_error(point["divergence"], point["divergence_error"]),
     ]

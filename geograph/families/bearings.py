@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -217,6 +218,13 @@ class BearingFamily(SensorFamily):
                 self._poses = poses
         return poses
 
+    def _indexed(self, received_s: NDArray[np.float64]) -> tuple[SensorPoses, NDArray[np.int64]]:
+        """Return poses, and of each bearing which of them: one a sensor where none moves."""
+        at_rest = self.geometry.at_rest
+        if at_rest is not None:
+            return at_rest, indices(self.sensor)
+        return self._posed(received_s), np.arange(len(self))
+
     def _speed(self, error_m_s: float) -> tuple[float, float]:
         """Return the speed of propagation, m/s, and how exact light times are found, seconds."""
         speed = self.speed_m_s + error_m_s
@@ -367,7 +375,7 @@ class BearingFamily(SensorFamily):
         if self._fast and count:
             # Of the recording's propagation, and the same for all of its measurements.
             faster = float(self.terms.constant_errors(constants, SPEED)[0])
-        poses, walks = self._posed(received), self.terms.chains
+        (poses, pose), walks = self._indexed(received), self.terms.chains
         before, after = np.empty(walks.row.size), np.empty(walks.row.size)
         by_walks = np.empty((walks.row.size if jacobian else 0, 2))
         residual, interval = np.empty((count, 2)), np.empty(count, dtype=np.int64)
@@ -378,13 +386,15 @@ class BearingFamily(SensorFamily):
             by = ByPosition(np.empty((count, 2 * order)), np.empty((count, 2, 3)))
         compiled.bearings(
             *(count, path.knots_s.size, order, size, constants.size),
-            *(walks.row.size, values.walks.shape[1], _LIGHT_TIME_ROUNDS),
-            *(int(self._clocked), int(self._fast), self.speed_m_s, self.spin_rad_s),
+            *(walks.row.size, values.walks.shape[1], len(poses.position_m), _LIGHT_TIME_ROUNDS),
+            *(int(self._clocked), int(self._fast), int(self._noise_elevation is not None)),
+            *(self.speed_m_s, self.spin_rad_s),
             self._speed(faster)[1],
             *map(flat, (path.knots_s, state.basis, hermite_coefficients(order), received)),
+            pose,
             *map(flat, (poses.position_m, poses.axes, poses.velocity_m_s, poses.axes_rate)),
             *map(flat, (self.bearings.azimuth_rad, self.bearings.elevation_rad)),
-            flat(self._noise_elevation),
+            flat(self._measured_turns),
             None if self._uniform else flat(self._tangent),
             *(self._white, light_time, residual, interval, emitted),
             *((by.weights, by.by_position) if by is not None else (None, None)),
@@ -408,6 +418,13 @@ class BearingFamily(SensorFamily):
             after,
             by_walks,
         )
+
+    @cached_property
+    def _measured_turns(self) -> NDArray[np.float64]:
+        """Shape (n, 4): cosine and sine of the measured azimuth, and of the elevation."""
+        azimuth, elevation = self.bearings.azimuth_rad, self._elevation
+        turned = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+        return np.stack(turned, axis=1)
 
     def _derivatives(
         self,

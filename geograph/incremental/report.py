@@ -95,6 +95,11 @@ class HeldFactorisation(Factorisation):
         held.chain = chain
         return held
 
+    @property
+    def turned_back(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Not held in one piece."""
+        raise TypeError("a held factorisation gives covariances alone; expected no way back")
+
     def _decrease(self, knots: NDArray[np.float64], constants: NDArray[np.float64]) -> float:
         del knots, constants
         raise TypeError("a held factorisation gives covariances alone; expected no step to solve")

@@ -173,108 +173,159 @@ static int complete(Reader *reader, int all)
 
 /* ---------------------------------------------------------------------------------- matrices */
 
-/* row += by[0] B[0] + by[1] B[1] + ..., k rows of B, ldb apart; by's entries are step apart. Three
-   at a time, so that the row is loaded and stored a third as often; transitions are mostly zeros. */
-INLINE void add_rows(Size k, Size n, double sign, const double *by, Size step,
-                            const double *b, Size ldb, double *restrict row)
+/* Four numbers at once, from any address; where the compiler has no such type, one by one. */
+#if defined(__GNUC__) || defined(__clang__)
+typedef double Four __attribute__((vector_size(32), aligned(8), may_alias));
+#define FOUR(address) (*(const Four *)(address))
+#define PUT_FOUR(address, value) (*(Four *)(address) = (value))
+#endif
+#define PADDED(size) (((size) + 3) & ~(Size)3)
+
+/* Four rows of A'B from "total", or added to it: total += sign A'B with d rows of A and B, which are
+   p and q apart; "width" columns of B, four or eight. */
+INLINE void add_block(Size d, Size width, double sign, const double *one, Size p, const double *two,
+                      Size q, double *total, Size t)
 {
-    Size threes = k - k % 3;
-    for (Size j = 0; j < threes; j += 3) {
-        double one = by[j * step], two = by[(j + 1) * step], three = by[(j + 2) * step];
-        int used = (one != 0.0) + (two != 0.0) + (three != 0.0);
-        if (used == 0)
-            continue;
-        const double *restrict first = b + j * ldb;
-        if (used == 1) {
-            double only = sign * (one != 0.0 ? one : two != 0.0 ? two : three);
-            first += (one != 0.0 ? 0 : two != 0.0 ? 1 : 2) * ldb;
-            for (Size c = 0; c < n; c++)
-                row[c] += only * first[c];
-            continue;
+#ifdef FOUR
+    Size parts = width / 4;
+    Four sum[4][2];
+    for (Size a = 0; a < 4; a++)
+        for (Size b = 0; b < parts; b++)
+            sum[a][b] = FOUR(total + a * t + 4 * b);
+    for (Size k = 0; k < d; k++) {
+        Four by[2];
+        for (Size b = 0; b < parts; b++)
+            by[b] = FOUR(two + k * q + 4 * b);
+        for (Size a = 0; a < 4; a++) {
+            double each = sign * one[k * p + a];
+            for (Size b = 0; b < parts; b++)
+                sum[a][b] += each * by[b];
         }
-        const double *restrict second = first + ldb, *restrict third = second + ldb;
-        one *= sign;
-        two *= sign;
-        three *= sign;
-        for (Size c = 0; c < n; c++)
-            row[c] += one * first[c] + two * second[c] + three * third[c];
     }
-    for (Size j = threes; j < k; j++) {
-        double only = by[j * step];
-        if (only == 0.0)
-            continue;
-        only *= sign;
-        const double *restrict first = b + j * ldb;
-        for (Size c = 0; c < n; c++)
-            row[c] += only * first[c];
+    for (Size a = 0; a < 4; a++)
+        for (Size b = 0; b < parts; b++)
+            PUT_FOUR(total + a * t + 4 * b, sum[a][b]);
+#else
+    for (Size a = 0; a < 4; a++)
+        for (Size b = 0; b < width; b++) {
+            double sum = 0.0;
+            for (Size k = 0; k < d; k++)
+                sum += one[k * p + a] * two[k * q + b];
+            total[a * t + b] += sign * sum;
+        }
+#endif
+}
+
+/* out (m x n) += A'B with k rows of A and B, p and q apart; m and n multiples of four, and none of the
+   rows of A and B beyond them. */
+INLINE void add_products(Size k, Size m, Size n, const double *a, Size p, const double *b, Size q,
+                         double *out, Size t)
+{
+    for (Size i = 0; i < m; i += 4) {
+        Size j = 0;
+        for (; j + 8 <= n; j += 8)
+            add_block(k, 8, 1.0, a + i, p, b + j, q, out + i * t + j, t);
+        if (j < n)
+            add_block(k, 4, 1.0, a + i, p, b + j, q, out + i * t + j, t);
     }
 }
 
-/* out (m x n) += sign A (m x k) B (k x n); rows of A, B and out are lda, ldb, ldo apart. */
-INLINE void add_product(Size m, Size k, Size n, double sign, const double *a, Size lda,
-                               const double *b, Size ldb, double *out, Size ldo)
+/* total -= R'R in the upper triangle (and a little below it), R (d x p), p a multiple of four. */
+INLINE void take_square(Size d, Size p, const double *rows, double *total)
 {
-    for (Size i = 0; i < m; i++)
-        add_rows(k, n, sign, a + i * lda, 1, b, ldb, out + i * ldo);
+    for (Size i = 0; i < p; i += 4) {
+        Size j = i;
+        for (; j + 8 <= p; j += 8)
+            add_block(d, 8, -1.0, rows + i, p, rows + j, p, total + i * p + j, p);
+        if (j < p)
+            add_block(d, 4, -1.0, rows + i, p, rows + j, p, total + i * p + j, p);
+    }
 }
 
-/* out (m x n) += sign A' B, A (k x m). */
-INLINE void add_transposed(Size m, Size k, Size n, double sign, const double *a, Size lda,
-                                  const double *b, Size ldb, double *out, Size ldo)
+/* row += by other, n a multiple of four. */
+INLINE void add_row(Size n, double by, const double *other, double *row)
 {
-    for (Size i = 0; i < m; i++)
-        add_rows(k, n, sign, a + i, lda, b, ldb, out + i * ldo);
+#ifdef FOUR
+    for (Size c = 0; c < n; c += 4)
+        PUT_FOUR(row + c, FOUR(row + c) + by * FOUR(other + c));
+#else
+    for (Size c = 0; c < n; c++)
+        row[c] += by * other[c];
+#endif
 }
 
-/* Replace a symmetric matrix by the inverse of its lower Cholesky factor; 0 if it has none. */
-INLINE int inverse_root(Size d, double *matrix, double *inverse)
+/* The inverse of the lower Cholesky factor of a symmetric matrix, of which the upper triangle is
+   read and overwritten; rows are p apart, p a multiple of four, zero beyond d. 0 if it has none. */
+INLINE int inverse_root(Size d, Size p, double *matrix, double *inverse)
 {
+    memset(inverse, 0, sizeof(double) * (size_t)(d * p));
     for (Size j = 0; j < d; j++) {
-        double pivot = matrix[j * d + j];
-        for (Size k = 0; k < j; k++)
-            pivot -= matrix[j * d + k] * matrix[j * d + k];
+        double pivot = matrix[j * p + j];
         if (!(pivot > 0.0))
             return 0;
-        double root = sqrt(pivot);
-        matrix[j * d + j] = root;
+        double each = 1.0 / sqrt(pivot), *row = matrix + j * p, *own = inverse + j * p;
+        Size from = j & ~(Size)3;
+        for (Size c = from; c < p; c++)
+            row[c] *= each;
         for (Size i = j + 1; i < d; i++) {
-            double value = matrix[i * d + j];
-            for (Size k = 0; k < j; k++)
-                value -= matrix[i * d + k] * matrix[j * d + k];
-            matrix[i * d + j] = value / root;
+            Size begin = i & ~(Size)3;
+            add_row(p - begin, -row[i], row + begin, matrix + i * p + begin);
         }
-    }
-    memset(inverse, 0, sizeof(double) * (size_t)(d * d));
-    for (Size j = 0; j < d; j++) {
-        inverse[j * d + j] = 1.0 / matrix[j * d + j];
-        for (Size i = j + 1; i < d; i++) {
-            double value = 0.0;
-            for (Size k = j; k < i; k++)
-                value -= matrix[i * d + k] * inverse[k * d + j];
-            inverse[i * d + j] = value / matrix[i * d + i];
-        }
+        /* Of the rows before, as row j of L X = I has it. */
+        own[j] = 1.0;
+        for (Size k = 0; k < j; k++)
+            add_row(PADDED(k + 1), -matrix[k * p + j], inverse + k * p, own);
+        for (Size c = 0; c < PADDED(j + 1); c++)
+            own[c] *= each;
     }
     return 1;
 }
 
 /* ---------------------------------------------------------------------------------- sweep */
 
+/* What is kept of each interval: back and spread; these and the noise's inverse root and gain; or the
+   inverse root and the rows of the noise, of which the others are made when they are asked for. */
+enum { TURNED = 0, ALL = 1, LATER = 2 };
+
 typedef struct {
     Size n, d, c; /* intervals; components of a knot; constants and the gradient */
-    int ends, noise;
+    int ends, kept;
     double damping;
     const double *knot, *blocks, *others, *inverse_transition, *noise_root, *noise_residual;
     double *knots, *shares, *back, *spread, *sums, *inverse_roots, *gain;
 } Sweep;
 
-/* share -= R' R in its lower triangle, R (d x c), rows of R w apart. Rows are filled up to whole
-   registers: the upper triangle is written anew. */
-INLINE void take_products(Size d, Size c, const double *rest, Size w, double *share)
+/* Rows of the work space: all are padded to whole registers, p = PADDED(d), q = PADDED(d + c). */
+typedef struct {
+    double *turn;     /* d x p: A L, x[k] = A x[k+1] - A L w */
+    double *turned;   /* d x p: its transpose times the knot's information */
+    double *given;    /* d x (p + q): -(information) A L, and what is said of x[k] over x[k+1], others */
+    double *noise;    /* d x (p + q): the same of the noise */
+    double *inverse;  /* d x p */
+    double *rest;     /* d x q */
+    double *gain;     /* d x q */
+    double *total;    /* q x q: rows of x[k+1], then of the constants and the gradient */
+    double *crossed;  /* d x p */
+} Room;
+
+static Size room_for(Size d, Size c)
 {
-    for (Size i = 0; i < c; i++) {
-        Size end = (i + 4) & ~(Size)3;
-        add_rows(d, end > c ? c : end, -1.0, rest + i, w, rest, w, share + i * c);
-    }
+    Size p = PADDED(d), q = PADDED(d + c);
+    return d * (5 * p + 2 * (p + q) + 2 * q) + (q + 4) * q;
+}
+
+static void lay_out_room(Size d, Size c, double *work, Room *room)
+{
+    Size p = PADDED(d), q = PADDED(d + c);
+    room->turn = work;
+    room->turned = room->turn + d * p;
+    room->crossed = room->turned + d * p;
+    room->inverse = room->crossed + d * p;
+    room->given = room->inverse + d * p;
+    room->noise = room->given + d * (p + q);
+    room->rest = room->noise + d * (p + q);
+    room->gain = room->rest + d * q;
+    room->total = room->gain + d * q;
 }
 
 static inline void mirror(Size size, double *matrix)
@@ -284,129 +335,208 @@ static inline void mirror(Size size, double *matrix)
             matrix[j * size + i] = matrix[i * size + j];
 }
 
-/* One interval: rows of knot k (d x w), "before", become those of knot k + 1, "after". */
-INLINE int sweep_step(const Sweep *all, Size k, const double *before, double *restrict after,
-                      double *share, double *work)
+/* b = A L, whose rows and A's are mostly zeros. */
+INLINE void turn_root(Size d, Size p, const double *a, const double *root, double *turn)
 {
-    Size d = all->d, c = all->c, w = d + c, full = 2 * d + c;
+    memset(turn, 0, sizeof(double) * (size_t)(d * p));
+    for (Size i = 0; i < d; i++)
+        for (Size j = 0; j < d; j++) {
+            double by = a[i * d + j];
+            if (by == 0.0)
+                continue;
+            for (Size m = 0; m < d; m++)
+                turn[i * p + m] += by * root[j * d + m];
+        }
+}
+
+/* gain = R^-T rest, back = A + b gain, spread = b R^-T. */
+INLINE void turn_back(Size d, Size c, const double *a, const double *turn, const double *inverse,
+                      const double *rest, double *gain, double *back, double *spread)
+{
+    Size p = PADDED(d), w = d + c, q = PADDED(w);
+    memset(gain, 0, sizeof(double) * (size_t)(d * q));
+    for (Size i = 0; i < d; i++)
+        for (Size m = 0; m <= i; m++)
+            add_row(q, inverse[i * p + m], rest + i * q, gain + m * q);
+    memset(spread, 0, sizeof(double) * (size_t)(d * d));
+    double row[64], *held = w <= 60 ? row : NULL;
+    for (Size i = 0; i < d; i++) {
+        double *to = back + i * w;
+        if (held != NULL) {
+            memset(held, 0, sizeof(double) * (size_t)q);
+            for (Size m = 0; m < d; m++)
+                if (turn[i * p + m] != 0.0)
+                    add_row(q, turn[i * p + m], gain + m * q, held);
+            memcpy(to, held, sizeof(double) * (size_t)w);
+        } else {
+            memset(to, 0, sizeof(double) * (size_t)w);
+            for (Size m = 0; m < d; m++)
+                if (turn[i * p + m] != 0.0)
+                    for (Size j = 0; j < w; j++)
+                        to[j] += turn[i * p + m] * gain[m * q + j];
+        }
+        for (Size j = 0; j < d; j++)
+            to[j] += a[i * d + j];
+        for (Size m = 0; m < d; m++) {
+            double by = turn[i * p + m];
+            if (by == 0.0)
+                continue;
+            /* Rows of the inverse are columns here. */
+            for (Size j = m; j < d; j++)
+                spread[i * d + j] += by * inverse[j * p + m];
+        }
+    }
+}
+
+/* One interval: rows of knot k (d x q), "knot", become those of knot k + 1 in the room's total. */
+INLINE int sweep_step(Size d, const Sweep *all, Size k, double *knot, const Room *room)
+{
+    Size c = all->c, w = d + c, full = 2 * d + c, p = PADDED(d), q = PADDED(w), g = p + q;
     const double *block = all->blocks + k * 2 * d * full;
     const double *a = all->inverse_transition + k * d * d;
-    const double *root = all->noise_root + k * d * d;
-    double *b = work, *pb = b + d * d, *square = pb + d * d, *noise = square + d * d;
-    double *rest = noise + d * w, *gain = rest + d * w;
-    double *inverse = gain + d * w, *p = inverse + d * d, *g = p + d * d;
-    memset(work, 0, sizeof(double) * (size_t)(3 * d * d + 3 * d * w));
-    /* b = A L: x[k] = A x[k+1] - b w. */
-    add_product(d, d, d, 1.0, a, d, root, d, b, d);
-    /* What is said of x[k]: p over x[k], and g = (p A + cross, what concerns the constants). */
+    double *turn = room->turn, *turned = room->turned, *crossed = room->crossed;
+    double *given = room->given, *noise = room->noise, *rest = room->rest, *total = room->total;
+    turn_root(d, p, a, all->noise_root + k * d * d, turn);
+    /* The information of x[k], in knot's first columns; transitions are taken as rows of "by", which
+       skips their zeros, and what comes of them is turned: (p b)' = b' p. */
     for (Size i = 0; i < d; i++) {
-        for (Size j = 0; j < d; j++) {
-            p[i * d + j] = before[i * w + j] + block[i * full + j];
-            g[i * w + j] = block[i * full + d + j];
+        for (Size j = 0; j < d; j++)
+            knot[i * q + j] += block[i * full + j];
+        knot[i * q + i] += all->damping;
+    }
+    memset(turned, 0, sizeof(double) * (size_t)(2 * d * p)); /* and crossed, behind it */
+    for (Size i = 0; i < d; i++)
+        for (Size m = 0; m < d; m++) {
+            double by = turn[i * p + m];
+            if (by != 0.0)
+                for (Size j = 0; j < d; j++)
+                    turned[m * p + j] += by * knot[i * q + j];
         }
-        p[i * d + i] += all->damping;
+    for (Size i = 0; i < d; i++)
+        for (Size j = 0; j < d; j++)
+            given[j * g + i] = turned[i * p + j];
+    memset(turned, 0, sizeof(double) * (size_t)(d * p));
+    for (Size i = 0; i < d; i++)
+        for (Size m = 0; m < d; m++) {
+            double by = a[i * d + m];
+            if (by == 0.0)
+                continue;
+            for (Size j = 0; j < d; j++)
+                turned[m * p + j] += by * knot[i * q + j];
+            for (Size j = 0; j < d; j++)
+                crossed[m * p + j] += by * block[i * full + d + j];
+        }
+    for (Size i = 0; i < d; i++) {
+        double *row = given + i * g + p;
+        for (Size j = 0; j < d; j++)
+            row[j] = turned[j * p + i] + block[i * full + d + j];
         for (Size j = d; j < w; j++)
-            g[i * w + j] = before[i * w + j] + block[i * full + d + j];
+            row[j] = knot[i * q + j] + block[i * full + d + j];
     }
-    /* Transitions are mostly zeros: they are taken as rows or columns of "by", which skips these. */
+    /* Of the noise: (I + b' p b), and -b' times the rest beside it; signs are turned at the end. */
+    memset(noise, 0, sizeof(double) * (size_t)(d * g));
     for (Size i = 0; i < d; i++)
-        for (Size j = 0; j < d; j++) {
-            double by = p[i * d + j];
-            for (Size m = 0; m < d; m++)
-                g[i * w + m] += by * a[j * d + m];
-        }
-    for (Size i = 0; i < d; i++)
-        for (Size j = 0; j < d; j++) {
-            double by = p[i * d + j];
-            for (Size m = 0; m < d; m++)
-                pb[i * d + m] += by * b[j * d + m];
-        }
-    /* Of the noise: (I + b' p b), and -b' g beside it. */
-    add_transposed(d, d, d, 1.0, b, d, pb, d, square, d);
-    add_transposed(d, d, w, -1.0, b, d, g, w, noise, w);
+        for (Size m = 0; m < d; m++)
+            if (turn[i * p + m] != 0.0)
+                add_row(g, turn[i * p + m], given + i * g, noise + m * g);
     for (Size i = 0; i < d; i++) {
-        square[i * d + i] += 1.0;
-        noise[i * w + w - 1] += all->noise_residual[k * d + i];
+        noise[i * g + i] += 1.0;
+        noise[i * g + p + w - 1] -= all->noise_residual[k * d + i];
     }
-    /* Of x[k+1]: A' g + cross' A + its own part. */
+    /* Of x[k+1]: A' times what is said of x[k], cross' A (turned, as it is) and its own part. */
+    for (Size i = 0; i < d; i++) {
+        double *row = total + i * q;
+        memcpy(row, block + (d + i) * full + d, sizeof(double) * (size_t)w);
+        for (Size j = w; j < q; j++)
+            row[j] = 0.0;
+        for (Size j = 0; j < d; j++)
+            row[j] += crossed[j * p + i];
+    }
     for (Size i = 0; i < d; i++)
-        memcpy(after + i * w, block + (d + i) * full + d, sizeof(double) * (size_t)w);
-    add_transposed(d, d, w, 1.0, a, d, g, w, after, w);
+        for (Size m = 0; m < d; m++)
+            if (a[i * d + m] != 0.0)
+                add_row(q, a[i * d + m], given + i * g + p, total + m * q);
     for (Size i = 0; i < d; i++)
-        for (Size j = 0; j < d; j++) {
-            double by = block[j * full + d + i];
-            for (Size m = 0; m < d; m++)
-                after[i * w + m] += by * a[j * d + m];
-        }
-    if (!inverse_root(d, square, inverse))
+        memcpy(turned + i * p, noise + i * g, sizeof(double) * (size_t)p);
+    if (!inverse_root(d, p, turned, room->inverse))
         return 0;
+    /* rest = -R^-1 (noise): rows of the inverse end at the diagonal. */
+    memset(rest, 0, sizeof(double) * (size_t)(d * q));
     for (Size i = 0; i < d; i++)
-        add_rows(i + 1, w, 1.0, inverse + i * d, 1, noise, w, rest + i * w);
-    for (Size i = 0; i < d; i++)
-        add_rows(d, w, -1.0, rest + i, w, rest, w, after + i * w);
-    /* Rounding that is not symmetric would grow over tens of thousands of knots. */
+        for (Size m = 0; m <= i; m++)
+            add_row(q, -room->inverse[i * p + m], noise + m * g + p, rest + i * q);
+    take_square(d, q, rest, total);
     for (Size i = 0; i < d; i++)
         for (Size j = 0; j < i; j++)
-            after[i * w + j] = after[j * w + i] = 0.5 * (after[i * w + j] + after[j * w + i]);
-    take_products(d, c, rest + d, w, share);
+            total[i * q + j] = total[j * q + i];
     double product = 1.0, sum = 0.0;
     for (Size i = 0; i < d; i++) {
-        product *= inverse[i * d + i];
-        sum += rest[i * w + w - 1] * rest[i * w + w - 1];
+        product *= room->inverse[i * p + i];
+        sum += rest[i * q + w - 1] * rest[i * q + w - 1];
     }
     if (product > 1e-250 && product < 1e250)
         all->sums[0] -= log(product);
     else
         for (Size i = 0; i < d; i++)
-            all->sums[0] -= log(inverse[i * d + i]);
+            all->sums[0] -= log(room->inverse[i * p + i]);
     all->sums[1] += sum;
-    for (Size i = 0; i < d; i++)
-        add_rows(d - i, w, 1.0, inverse + i * d + i, d, rest + i * w, w, gain + i * w);
-    if (all->noise) {
-        memcpy(all->inverse_roots + k * d * d, inverse, sizeof(double) * (size_t)(d * d));
-        memcpy(all->gain + k * d * w, gain, sizeof(double) * (size_t)(d * w));
+    return 1;
+}
+
+INLINE void keep_step(Size d, const Sweep *all, Size k, const Room *room)
+{
+    Size w = d + all->c, p = PADDED(d), q = PADDED(w);
+    const double *kept = room->rest;
+    if (all->kept != LATER) {
+        turn_back(d, all->c, all->inverse_transition + k * d * d, room->turn, room->inverse,
+                  room->rest, room->gain, all->back + k * d * w, all->spread + k * d * d);
+        kept = room->gain;
     }
-    double *back = all->back + k * d * w;
-    memset(back, 0, sizeof(double) * (size_t)(d * w));
+    if (all->kept == TURNED)
+        return;
+    for (Size i = 0; i < d; i++) {
+        memcpy(all->inverse_roots + (k * d + i) * d, room->inverse + i * p,
+               sizeof(double) * (size_t)d);
+        memcpy(all->gain + (k * d + i) * w, kept + i * q, sizeof(double) * (size_t)w);
+    }
+}
+
+INLINE int sweep_of(Size d, const Sweep *all, double *work)
+{
+    Size c = all->c, w = d + c, q = PADDED(w);
+    Room room;
+    lay_out_room(d, c, work, &room);
+    double *knot = room.total + q * q, *share = room.total + d * q + d;
+    memset(work, 0, sizeof(double) * (size_t)(room_for(d, c) + d * q));
     for (Size i = 0; i < d; i++)
-        memcpy(back + i * w, a + i * d, sizeof(double) * (size_t)d);
-    add_product(d, d, w, 1.0, b, d, gain, w, back, w);
-    double *spread = all->spread + k * d * d;
-    memset(spread, 0, sizeof(double) * (size_t)(d * d));
-    /* b inverse': rows of the inverse are columns here. */
-    for (Size i = 0; i < d; i++)
-        for (Size m = 0; m < d; m++) {
-            double by = b[i * d + m];
-            if (by == 0.0)
-                continue;
-            for (Size j = m; j < d; j++)
-                spread[i * d + j] += by * inverse[j * d + m];
-        }
+        memcpy(knot + i * q, all->knot + i * w, sizeof(double) * (size_t)w);
+    for (Size k = 0; k < all->n; k++) {
+        if (!all->ends || k == 0)
+            for (Size i = 0; i < c; i++)
+                memcpy(share + i * q, all->others + (k * c + i) * c, sizeof(double) * (size_t)c);
+        if (!sweep_step(d, all, k, knot, &room))
+            return 0;
+        keep_step(d, all, k, &room);
+        memcpy(knot, room.total, sizeof(double) * (size_t)(d * q));
+        if (all->ends && k + 1 < all->n)
+            continue;
+        double *rows = all->knots + (all->ends ? 0 : k) * d * w;
+        double *shared = all->shares + (all->ends ? 0 : k) * c * c;
+        for (Size i = 0; i < d; i++)
+            memcpy(rows + i * w, knot + i * q, sizeof(double) * (size_t)w);
+        for (Size i = 0; i < c; i++)
+            for (Size j = i; j < c; j++)
+                shared[i * c + j] = shared[j * c + i] = share[i * q + j];
+    }
     return 1;
 }
 
 WIDE static int sweep_all(const Sweep *all, double *work)
 {
-    Size d = all->d, c = all->c, w = d + c;
-    const double *knot = all->knot;
-    double *spare = work + 6 * d * d + 5 * d * w;
-    for (Size k = 0; k < all->n; k++) {
-        /* With the ends alone, rows alternate between two places, so that the last is the result. */
-        double *after = all->knots + k * d * w, *share = all->shares + k * c * c;
-        if (all->ends) {
-            after = (all->n - k) % 2 ? all->knots : spare;
-            share = all->shares;
-        } else
-            memcpy(share, all->others + k * c * c, sizeof(double) * (size_t)(c * c));
-        if (!sweep_step(all, k, knot, after, share, work))
-            return 0;
-        if (!all->ends)
-            mirror(c, share);
-        knot = after;
-    }
-    if (all->ends)
-        mirror(c, all->shares);
-    return 1;
+    /* Loops of known length are unrolled for the usual motions. */
+    if (all->d == 9)
+        return sweep_of(9, all, work);
+    return all->d == 6 ? sweep_of(6, all, work) : sweep_of(all->d, all, work);
 }
 
 static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
@@ -418,7 +548,7 @@ static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
     Size n = all.n = whole(&reader);
     Size d = all.d = whole(&reader), c = all.c = whole(&reader);
     all.ends = (int)whole(&reader);
-    all.noise = (int)whole(&reader);
+    all.kept = (int)whole(&reader);
     all.damping = number(&reader);
     Size w = d + c, full = w + d, held = all.ends ? 1 : n;
     all.knot = reals(&reader, d * w);
@@ -429,11 +559,11 @@ static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
     all.noise_residual = reals(&reader, n * d);
     all.knots = results(&reader, held * d * w);
     all.shares = results(&reader, held * c * c);
-    all.back = results(&reader, n * d * w);
-    all.spread = results(&reader, n * d * d);
+    all.back = results(&reader, all.kept == LATER ? 0 : n * d * w);
+    all.spread = results(&reader, all.kept == LATER ? 0 : n * d * d);
     all.sums = results(&reader, 2);
-    all.inverse_roots = results(&reader, all.noise ? n * d * d : 0);
-    all.gain = results(&reader, all.noise ? n * d * w : 0);
+    all.inverse_roots = results(&reader, all.kept == TURNED ? 0 : n * d * d);
+    all.gain = results(&reader, all.kept == TURNED ? 0 : n * d * w);
     int there = all.knot && all.blocks && all.others && all.inverse_transition && all.noise_root &&
                 all.noise_residual && all.knots && all.shares && all.back && all.spread && all.sums &&
                 all.inverse_roots && all.gain;
@@ -441,7 +571,7 @@ static PyObject *sweep(PyObject *self, PyObject *const *arguments, Size given)
         release(&reader);
         return NULL;
     }
-    double *work = malloc(sizeof(double) * (size_t)(6 * d * d + 6 * d * w + 1));
+    double *work = malloc(sizeof(double) * (size_t)(room_for(d, c) + d * PADDED(w) + 1));
     if (work == NULL) {
         release(&reader);
         return PyErr_NoMemory();
@@ -474,56 +604,113 @@ typedef struct {
 } Covariances;
 
 /* out (columns x rows) is the transpose of a (rows x columns), whose rows are lda apart. */
-INLINE void transpose(Size rows, Size columns, const double *a, Size lda, double *restrict out)
+/* Of one knot, rows padded: p = PADDED(d), t = PADDED(s). */
+typedef struct {
+    double *constants;   /* s x t */
+    double *slope, *lean; /* p x t, and one to write the next to */
+    double *turned;      /* s x p: slope' */
+    double *cross;       /* t x p: constants slope' */
+    double *known, *own; /* p x p */
+    double *by;          /* (d + s) x p: back' */
+    double *spread;      /* d x p: spread' */
+    double *work;        /* p x p */
+} Covering;
+
+static Size room_to_cover(Size d, Size s)
+{
+    Size p = PADDED(d), t = PADDED(s);
+    return s * t + 2 * p * t + s * p + t * p + 3 * p * p + (d + s) * p + d * p;
+}
+
+static void lay_out_cover(Size d, Size s, double *room, Covering *now)
+{
+    Size p = PADDED(d), t = PADDED(s);
+    now->constants = room;
+    now->slope = now->constants + s * t;
+    now->lean = now->slope + p * t;
+    now->turned = now->lean + p * t;
+    now->cross = now->turned + s * p;
+    now->known = now->cross + t * p;
+    now->own = now->known + p * p;
+    now->work = now->own + p * p;
+    now->by = now->work + p * p;
+    now->spread = now->by + (d + s) * p;
+}
+
+/* out (columns x rows, p apart) = a', a's rows lda apart. */
+INLINE void transpose(Size rows, Size columns, const double *a, Size lda, double *restrict out, Size p)
 {
     for (Size i = 0; i < rows; i++)
         for (Size j = 0; j < columns; j++)
-            out[j * rows + i] = a[i * lda + j];
+            out[j * p + i] = a[i * lda + j];
 }
 
-/* knots and cross of one knot; "turned" has room for s x d. */
-INLINE void put_covariance(const Covariances *all, Size k, double *turned)
+/* knots and cross of one knot, from known and slope. */
+INLINE void put_covariance(Size d, const Covariances *all, Size k, const Covering *now)
 {
-    Size d = all->d, s = all->s;
+    Size s = all->s, p = PADDED(d), t = PADDED(s);
     double *cross = all->cross + k * d * s, *own = all->knots + k * d * d;
-    memset(cross, 0, sizeof(double) * (size_t)(d * s));
-    add_product(d, s, s, 1.0, all->slope, s, all->constants, s, cross, s);
-    memcpy(own, all->known, sizeof(double) * (size_t)(d * d));
-    transpose(d, s, all->slope, s, turned);
-    add_product(d, s, d, 1.0, cross, s, turned, d, own, d);
+    transpose(d, s, now->slope, t, now->turned, p);
+    memset(now->cross, 0, sizeof(double) * (size_t)(t * p));
+    add_products(s, t, p, now->constants, t, now->turned, p, now->cross, p);
+    memcpy(now->own, now->known, sizeof(double) * (size_t)(p * p));
+    add_products(s, p, p, now->cross, p, now->turned, p, now->own, p);
     for (Size i = 0; i < d; i++)
-        for (Size j = 0; j < i; j++)
-            own[i * d + j] = own[j * d + i] = 0.5 * (own[i * d + j] + own[j * d + i]);
+        for (Size j = 0; j <= i; j++)
+            now->own[i * p + j] = now->own[j * p + i] = own[i * d + j] = own[j * d + i] =
+                0.5 * (now->own[i * p + j] + now->own[j * p + i]);
+    transpose(s, d, now->cross, p, cross, s);
 }
 
-WIDE static void marginals_all(const Covariances *all, double *work)
+INLINE void marginals_of(Size d, const Covariances *all, double *room)
 {
-    Size d = all->d, s = all->s, w = d + s + 1;
-    double *lean = work + d * d, *turned = lean + d * s;
-    put_covariance(all, all->n, turned);
-    for (Size k = all->n - 1; k >= 0; k--) {
-        const double *by = all->back + k * d * w, *root = all->spread + k * d * d;
-        double *beside = all->neighbours + k * d * d;
-        const double *next = all->cross + (k + 1) * d * s;
-        memset(beside, 0, sizeof(double) * (size_t)(d * d));
-        add_product(d, d, d, 1.0, by, w, all->knots + (k + 1) * d * d, d, beside, d);
-        transpose(d, s, next, s, turned);
-        add_product(d, s, d, 1.0, by + d, w, turned, d, beside, d);
-        memset(work, 0, sizeof(double) * (size_t)(d * d));
-        add_product(d, d, d, 1.0, by, w, all->known, d, work, d);
-        for (Size i = 0; i < d; i++)
-            for (Size j = 0; j <= i; j++) {
-                double value = 0.0;
-                for (Size m = 0; m < d; m++)
-                    value += work[i * d + m] * by[j * w + m] + root[i * d + m] * root[j * d + m];
-                all->known[i * d + j] = all->known[j * d + i] = value;
-            }
-        for (Size i = 0; i < d; i++)
-            memcpy(lean + i * s, by + i * w + d, sizeof(double) * (size_t)s);
-        add_product(d, d, s, 1.0, by, w, all->slope, s, lean, s);
-        memcpy(all->slope, lean, sizeof(double) * (size_t)(d * s));
-        put_covariance(all, k, turned);
+    Size s = all->s, w = d + s + 1, p = PADDED(d), t = PADDED(s);
+    Covering now;
+    memset(room, 0, sizeof(double) * (size_t)room_to_cover(d, s));
+    lay_out_cover(d, s, room, &now);
+    for (Size i = 0; i < s; i++)
+        memcpy(now.constants + i * t, all->constants + i * s, sizeof(double) * (size_t)s);
+    for (Size i = 0; i < d; i++) {
+        memcpy(now.slope + i * t, all->slope + i * s, sizeof(double) * (size_t)s);
+        memcpy(now.known + i * p, all->known + i * d, sizeof(double) * (size_t)d);
     }
+    put_covariance(d, all, all->n, &now);
+    for (Size k = all->n - 1; k >= 0; k--) {
+        const double *by = all->back + k * d * w;
+        double *beside = all->neighbours + k * d * d, *work = now.work;
+        transpose(d, d + s, by, w, now.by, p);
+        transpose(d, d, all->spread + k * d * d, d, now.spread, p);
+        memset(work, 0, sizeof(double) * (size_t)(p * p));
+        add_products(d, p, p, now.by, p, now.own, p, work, p);
+        add_products(s, p, p, now.by + d * p, p, now.cross, p, work, p);
+        for (Size i = 0; i < d; i++)
+            memcpy(beside + i * d, work + i * p, sizeof(double) * (size_t)d);
+        memset(work, 0, sizeof(double) * (size_t)(p * p));
+        add_products(d, p, p, now.known, p, now.by, p, work, p);
+        memset(now.known, 0, sizeof(double) * (size_t)(p * p));
+        add_products(d, p, p, now.by, p, work, p, now.known, p);
+        add_products(d, p, p, now.spread, p, now.spread, p, now.known, p);
+        for (Size i = 0; i < d; i++)
+            for (Size j = 0; j < i; j++)
+                now.known[j * p + i] = now.known[i * p + j];
+        for (Size i = 0; i < d; i++)
+            memcpy(now.lean + i * t, by + i * w + d, sizeof(double) * (size_t)s);
+        add_products(d, p, t, now.by, p, now.slope, t, now.lean, t);
+        double *slope = now.slope;
+        now.slope = now.lean;
+        now.lean = slope;
+        put_covariance(d, all, k, &now);
+    }
+}
+
+WIDE static void marginals_all(const Covariances *all, double *room)
+{
+    if (all->d == 9)
+        marginals_of(9, all, room);
+    else if (all->d == 6)
+        marginals_of(6, all, room);
+    else
+        marginals_of(all->d, all, room);
 }
 
 static PyObject *marginals(PyObject *self, PyObject *const *arguments, Size given)
@@ -546,7 +733,7 @@ static PyObject *marginals(PyObject *self, PyObject *const *arguments, Size give
         release(&reader);
         return NULL;
     }
-    double *work = malloc(sizeof(double) * (size_t)(d * (d + 2 * s) + 1));
+    double *work = malloc(sizeof(double) * (size_t)(room_to_cover(d, s) + 1));
     if (work == NULL) {
         release(&reader);
         return PyErr_NoMemory();
@@ -597,6 +784,145 @@ static PyObject *substitute(PyObject *self, PyObject *const *arguments, Size giv
     Py_RETURN_NONE;
 }
 
+/* x[k] = A (x[k+1] + L R^-T rest (x[k+1], constants, 1)): what back says, from what it is made of. */
+typedef struct {
+    Size n, d, c;
+    const double *inverse_transition, *noise_root, *inverse_roots, *rests, *constants;
+    double *knots, *back, *spread;
+} Later;
+
+INLINE double dot_of(Size n, const double *a, const double *b)
+{
+    double value = 0.0;
+    Size i = 0;
+#ifdef FOUR
+    Four sum = {0.0, 0.0, 0.0, 0.0};
+    for (; i + 4 <= n; i += 4)
+        sum += FOUR(a + i) * FOUR(b + i);
+    value = (sum[0] + sum[1]) + (sum[2] + sum[3]);
+#endif
+    for (; i < n; i++)
+        value += a[i] * b[i];
+    return value;
+}
+
+INLINE void substitute_of(Size d, const Later *all, double *work)
+{
+    Size c = all->c, w = d + c;
+    double *known = work, *turned = work + w;
+    memcpy(known + d, all->constants, sizeof(double) * (size_t)(c - 1));
+    known[w - 1] = 1.0;
+    for (Size k = all->n - 1; k >= 0; k--) {
+        const double *inverse = all->inverse_roots + k * d * d, *rest = all->rests + k * d * w;
+        const double *a = all->inverse_transition + k * d * d, *root = all->noise_root + k * d * d;
+        double *x = all->knots + k * d;
+        memcpy(known, x + d, sizeof(double) * (size_t)d);
+        memset(turned, 0, sizeof(double) * (size_t)d);
+        for (Size i = 0; i < d; i++) {
+            double value = dot_of(w, rest + i * w, known);
+            for (Size j = 0; j <= i; j++)
+                turned[j] += inverse[i * d + j] * value;
+        }
+        for (Size i = 0; i < d; i++)
+            known[i] += dot_of(d, root + i * d, turned);
+        for (Size i = 0; i < d; i++)
+            x[i] = dot_of(d, a + i * d, known);
+    }
+}
+
+WIDE static void substitute_later_all(const Later *all, double *work)
+{
+    if (all->d == 9)
+        substitute_of(9, all, work);
+    else
+        substitute_of(all->d, all, work);
+}
+
+WIDE static void turn_back_all(const Later *all, double *work)
+{
+    Size d = all->d, c = all->c, w = d + c, p = PADDED(d), q = PADDED(w);
+    double *turn = work, *inverse = turn + d * p, *rest = inverse + d * p, *gain = rest + d * q;
+    memset(work, 0, sizeof(double) * (size_t)(2 * d * (p + q)));
+    for (Size k = 0; k < all->n; k++) {
+        const double *a = all->inverse_transition + k * d * d;
+        turn_root(d, p, a, all->noise_root + k * d * d, turn);
+        for (Size i = 0; i < d; i++) {
+            memcpy(inverse + i * p, all->inverse_roots + (k * d + i) * d,
+                   sizeof(double) * (size_t)d);
+            memcpy(rest + i * q, all->rests + (k * d + i) * w, sizeof(double) * (size_t)w);
+        }
+        turn_back(d, c, a, turn, inverse, rest, gain, all->back + k * d * w,
+                  all->spread + k * d * d);
+    }
+}
+
+/* Arguments that both share, and room to work in; NULL with an error set. */
+static double *later(Reader *reader, Later *all)
+{
+    Size n = all->n = whole(reader), d = all->d = whole(reader), c = all->c = whole(reader);
+    Size w = d + c;
+    all->inverse_transition = reals(reader, n * d * d);
+    all->noise_root = reals(reader, n * d * d);
+    all->inverse_roots = reals(reader, n * d * d);
+    all->rests = reals(reader, n * d * w);
+    if (reader->failed)
+        return NULL;
+    double *work = malloc(sizeof(double) * (size_t)(2 * d * (PADDED(d) + PADDED(w)) + w + d + 1));
+    if (work == NULL) {
+        PyErr_NoMemory();
+        reader->failed = 1;
+    }
+    return work;
+}
+
+static PyObject *substitute_later(PyObject *self, PyObject *const *arguments, Size given)
+{
+    (void)self;
+    Reader reader;
+    Later all;
+    start(&reader, arguments, given);
+    double *work = later(&reader, &all);
+    all.constants = reals(&reader, all.c - 1);
+    all.knots = results(&reader, (all.n + 1) * all.d);
+    int there = all.inverse_transition && all.noise_root && all.inverse_roots && all.rests &&
+                all.constants && all.knots;
+    if (!complete(&reader, there)) {
+        free(work);
+        release(&reader);
+        return NULL;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    substitute_later_all(&all, work);
+    Py_END_ALLOW_THREADS
+    free(work);
+    release(&reader);
+    Py_RETURN_NONE;
+}
+
+static PyObject *turn_back_later(PyObject *self, PyObject *const *arguments, Size given)
+{
+    (void)self;
+    Reader reader;
+    Later all;
+    start(&reader, arguments, given);
+    double *work = later(&reader, &all);
+    all.back = results(&reader, all.n * all.d * (all.d + all.c));
+    all.spread = results(&reader, all.n * all.d * all.d);
+    int there = all.inverse_transition && all.noise_root && all.inverse_roots && all.rests &&
+                all.back && all.spread;
+    if (!complete(&reader, there)) {
+        free(work);
+        release(&reader);
+        return NULL;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    turn_back_all(&all, work);
+    Py_END_ALLOW_THREADS
+    free(work);
+    release(&reader);
+    Py_RETURN_NONE;
+}
+
 /* ---------------------------------------------------------------------------------- blocks */
 
 typedef struct {
@@ -612,16 +938,30 @@ typedef struct {
 /* What the measurements of one interval add up to before it is written to the result: products of
    the knots' columns, or moments of which these are made, and of these columns with the others'. */
 typedef struct {
-    Size columns;                     /* of the knots that the measurements touch */
-    Size column[2 * 3 * MOST_ORDER];  /* which these are, where they are not all */
-    double scale[2 * 3 * MOST_ORDER];
     double *own, *cross, *row;
+    double *pairs, *moments; /* of measurements that are not in own yet */
+    Size waiting;
     char *touched;
+    Size *from, *at; /* of the columns that were touched: their place in cross, and in the result */
 } Held;
 
 /* Index the entries of each row: those of row i are order[first[i]] to order[first[i + 1] - 1]. */
 static int by_row(Size n, Size e, const int64_t *row, Size *first, Size *order)
 {
+    int sorted = e == 0 || (row[0] >= 0 && row[e - 1] < n);
+    for (Size k = 1; k < e; k++)
+        sorted &= row[k - 1] <= row[k];
+    if (sorted) {
+        Size i = 0;
+        for (Size k = 0; k < e; k++) {
+            while (i <= row[k])
+                first[i++] = k;
+            order[k] = k;
+        }
+        while (i < n + 2)
+            first[i++] = e;
+        return 1;
+    }
     memset(first, 0, sizeof(Size) * (size_t)(n + 2));
     for (Size k = 0; k < e; k++) {
         if (row[k] < 0 || row[k] >= n)
@@ -654,40 +994,40 @@ INLINE void lay_out(const Blocks *all, Size i, Size q, double root, Size d, Size
     }
 }
 
-/* Add the products of a measurement's residual and its derivatives by the constants. */
-INLINE void add_others(const Blocks *all, Size i, double root, double *others)
+/* The product of the few numbers of one measurement. */
+INLINE double few(Size r, const double *a, const double *b)
 {
-    Size r = all->r, last = all->constants, c = last + 1;
+    double value = 0.0;
+    for (Size q = 0; q < r; q++)
+        value += a[q] * b[q];
+    return value;
+}
+
+/* Add the products of a measurement's residual and its derivatives by the constants. */
+INLINE void add_others(Size r, const Blocks *all, Size i, double root, double *others)
+{
+    Size last = all->constants, c = last + 1;
     const double *residual = all->residual + i * r;
     double square = root * root;
     for (Size k = all->first[i]; k < all->first[i + 1]; k++) {
         const double *by = all->by_constants + all->entry[k] * r;
         Size column = (Size)all->constant_column[all->entry[k]];
         double *out = others + column * c;
-        for (Size m = all->first[i]; m <= k; m++) {
-            const double *next = all->by_constants + all->entry[m] * r;
+        for (Size m = all->first[i]; m < k; m++) {
+            double product = square * few(r, by, all->by_constants + all->entry[m] * r);
             Size beside = (Size)all->constant_column[all->entry[m]];
-            double product = 0.0;
-            for (Size q = 0; q < r; q++)
-                product += by[q] * next[q];
-            product *= square;
-            if (beside <= column)
+            if (beside < column)
                 out[beside] += product;
-            else
+            else if (beside > column)
                 others[beside * c + column] += product;
-            if (beside == column && m < k)
+            else
                 /* Two entries in one place: each meets the other. */
-                out[beside] += product;
+                out[column] += 2.0 * product;
         }
-        double product = 0.0;
-        for (Size q = 0; q < r; q++)
-            product += by[q] * residual[q];
-        others[last * c + column] += square * product;
+        out[column] += square * few(r, by, by);
+        others[last * c + column] += square * few(r, by, residual);
     }
-    double product = 0.0;
-    for (Size q = 0; q < r; q++)
-        product += residual[q] * residual[q];
-    others[last * c + last] += square * product;
+    others[last * c + last] += square * few(r, residual, residual);
 }
 
 /* Add a measurement's rows to the sums of its interval, two at a time. */
@@ -730,15 +1070,40 @@ INLINE void add_rows_of(const Blocks *all, Size i, double root, Size d, Size kno
 /* Pairs of blocks, later times earlier, in the order of their moments; padded to whole registers. */
 #define MOST_PAIRS 24
 
+/* Six moments, padded; measurements whose moments wait to be multiplied by their pairs at once. */
+#define MOMENTS 8
+#define WAITING 16
+
+INLINE void add_waiting(Size size, Held *held)
+{
+    Size pairs = PADDED(size * (size + 1) / 2);
+    for (Size m = 0; m < MOMENTS; m += 4) {
+        Size b = 0;
+        double *out = held->own + m * MOST_PAIRS;
+        for (; b + 8 <= pairs; b += 8)
+            add_block(held->waiting, 8, 1.0, held->moments + m, MOMENTS, held->pairs + b, MOST_PAIRS,
+                      out + b, MOST_PAIRS);
+        if (b < pairs)
+            add_block(held->waiting, 4, 1.0, held->moments + m, MOMENTS, held->pairs + b, MOST_PAIRS,
+                      out + b, MOST_PAIRS);
+    }
+    held->waiting = 0;
+}
+
 /* The same where the rows are weights of the blocks times a derivative by the position: six moments
    of each pair of blocks, of which the products are made once an interval. Columns are those of
-   one axis after another. */
-INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Size knots, Held *held,
-                           double *total)
+   one axis after another, each axis padded to whole registers. */
+INLINE void add_moments_of(Size size, Size r, const Blocks *all, Size i, double root, Size knots,
+                           Held *held, double *total)
 {
-    Size r = all->r, d = knots / 2, width = knots + all->constants + 1;
-    const double *w = all->weights + i * size, *by = all->by_path + i * r * 3;
-    double square = root * root, moment[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+    Size d = knots / 2, width = knots + all->constants + 1, pitch = PADDED(size);
+    const double *by = all->by_path + i * r * 3;
+    double w[PADDED(2 * MOST_ORDER)] = {0.0};
+    for (Size b = 0; b < size; b++)
+        w[b] = all->weights[i * size + b];
+    double square = root * root, *moment = held->moments + held->waiting * MOMENTS;
+    double *pair = held->pairs + held->waiting * MOST_PAIRS;
+    memset(moment, 0, sizeof(double) * MOMENTS);
     for (Size q = 0; q < r; q++) {
         const double *j = by + 3 * q;
         moment[0] += j[0] * j[0];
@@ -748,17 +1113,12 @@ INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Si
         moment[4] += j[2] * j[1];
         moment[5] += j[2] * j[2];
     }
-    double pair[MOST_PAIRS] = {0.0};
     Size p = 0;
     for (Size a = 0; a < size; a++)
         for (Size b = 0; b <= a; b++)
             pair[p++] = square * w[a] * w[b];
-    Size pairs = (p + 3) & ~(Size)3;
-    for (Size m = 0; m < 6; m++) {
-        double *restrict out = held->own + m * MOST_PAIRS;
-        for (Size b = 0; b < pairs; b++)
-            out[b] += moment[m] * pair[b];
-    }
+    if (++held->waiting == WAITING)
+        add_waiting(size, held);
     for (Size k = all->first[i]; k <= all->first[i + 1]; k++) {
         int residual = k == all->first[i + 1];
         const double *other = residual ? all->residual + i * r
@@ -769,12 +1129,9 @@ INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Si
             for (Size j = 0; j < 3; j++)
                 along[j] += by[3 * q + j] * other[q];
         held->touched[column] = 1;
-        double *restrict out = held->cross + column * knots;
-        for (Size j = 0; j < 3; j++) {
-            double value = square * along[j];
-            for (Size b = 0; b < size; b++)
-                out[j * size + b] += value * w[b];
-        }
+        double *restrict out = held->cross + column * 3 * pitch;
+        for (Size j = 0; j < 3; j++)
+            add_row(pitch, square * along[j], w, out + j * pitch);
     }
     /* Walks have two columns each, at the knot before and at the one after. */
     for (Size k = all->first_walk[i]; k < all->first_walk[i + 1]; k++) {
@@ -787,13 +1144,10 @@ INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Si
         for (Size half = 0; half < 2; half++) {
             double share = square * (half ? all->after[entry] : all->before[entry]);
             Size column = all->constants + 1 + half * all->walks + walk;
-            double *restrict out = held->cross + column * knots;
+            double *restrict out = held->cross + column * 3 * pitch;
             held->touched[column] = 1;
-            for (Size j = 0; j < 3; j++) {
-                double value = share * along[j];
-                for (Size b = 0; b < size; b++)
-                    out[j * size + b] += value * w[b];
-            }
+            for (Size j = 0; j < 3; j++)
+                add_row(pitch, share * along[j], w, out + j * pitch);
             double *row = total + (half * d + all->path + walk) * width;
             for (Size m = all->first_walk[i]; m < all->first_walk[i + 1]; m++) {
                 Size other = all->entry_walk[m], beside = all->path + (Size)all->walk_column[other];
@@ -819,74 +1173,104 @@ INLINE void add_moments_of(Size size, const Blocks *all, Size i, double root, Si
 }
 
 /* Write what was held of an interval, and hold nothing. */
-INLINE void put(const Blocks *all, Size place, Size knots, Held *held)
+INLINE void put_rows(const Blocks *all, Size place, Size knots, Held *held)
 {
-    Size width = knots + all->constants + 1, size = 2 * all->order;
+    Size others = all->constants + 1, width = knots + others;
     double *total = all->knots + place * knots * width;
-    if (all->order) {
-        for (Size j = 0; j < 3; j++)
-            for (Size m = 0; m <= j; m++) {
-                double *own = held->own + (j * (j + 1) / 2 + m) * MOST_PAIRS;
-                for (Size a = 0; a < size; a++)
-                    for (Size b = 0; b < size; b++) {
-                        double value = own[a >= b ? a * (a + 1) / 2 + b : b * (b + 1) / 2 + a];
-                        Size one = j * size + a, two = m * size + b;
-                        value *= held->scale[one] * held->scale[two];
-                        total[held->column[one] * width + held->column[two]] += value;
-                        if (m < j)
-                            total[held->column[two] * width + held->column[one]] += value;
-                    }
-            }
-        memset(held->own, 0, sizeof(double) * 6 * MOST_PAIRS);
-    } else {
-        for (Size a = 0; a < knots; a++) {
-            for (Size b = 0; b < a; b++) {
-                total[a * width + b] += held->own[a * knots + b];
-                total[b * width + a] += held->own[a * knots + b];
-            }
-            total[a * width + a] += held->own[a * knots + a];
+    for (Size a = 0; a < knots; a++) {
+        for (Size b = 0; b < a; b++) {
+            total[a * width + b] += held->own[a * knots + b];
+            total[b * width + a] += held->own[a * knots + b];
         }
-        memset(held->own, 0, sizeof(double) * (size_t)(knots * knots));
+        total[a * width + a] += held->own[a * knots + a];
     }
-    Size others = all->constants + 1;
-    for (Size column = 0; column < others + (all->order ? 2 * all->walks : 0); column++) {
+    memset(held->own, 0, sizeof(double) * (size_t)(knots * knots));
+    for (Size column = 0; column < others; column++) {
         if (!held->touched[column])
             continue;
         double *cross = held->cross + column * knots;
+        for (Size a = 0; a < knots; a++)
+            total[a * width + knots + column] += cross[a];
+        memset(cross, 0, sizeof(double) * (size_t)knots);
         held->touched[column] = 0;
-        Size walk = column - others, at = knots + column;
-        if (column >= others)
-            at = walk < all->walks ? all->path + walk : knots / 2 + all->path + walk - all->walks;
-        for (Size k = 0; k < held->columns; k++) {
-            Size a = all->order ? held->column[k] : k;
-            double value = all->order ? held->scale[k] * cross[k] : cross[k];
-            total[a * width + at] += value;
-            if (column >= others)
-                total[at * width + a] += value;
-            cross[k] = 0.0;
-        }
     }
 }
 
-INLINE int add_all_of(Size order, const Blocks *all, Held *held)
+/* The same of moments: block b of a knot's state is of its half and component, on each axis. */
+INLINE void put_moments(Size order, const Blocks *all, Size place, Size knots, Held *held)
+{
+    Size others = all->constants + 1, width = knots + others, size = 2 * order, d = knots / 2;
+    Size pitch = PADDED(size), length = 3 * pitch, count = 0, columns = others + 2 * all->walks;
+    double *total = all->knots + place * knots * width;
+    add_waiting(size, held);
+    for (Size a = 0; a < size; a++)
+        for (Size b = 0; b < size; b++) {
+            const double *own = held->own + (a >= b ? a * (a + 1) / 2 + b : b * (b + 1) / 2 + a);
+            const double *one = all->scale + 3 * (a % order), *two = all->scale + 3 * (b % order);
+            double *to = total + (a / order * d + 3 * (a % order)) * width + b / order * d +
+                         3 * (b % order);
+            for (Size j = 0; j < 3; j++)
+                for (Size m = 0; m < 3; m++)
+                    to[j * width + m] +=
+                        one[j] * two[m] *
+                        own[(j >= m ? j * (j + 1) / 2 + m : m * (m + 1) / 2 + j) * MOST_PAIRS];
+        }
+    memset(held->own, 0, sizeof(double) * MOMENTS * MOST_PAIRS);
+    for (Size column = 0; column < columns; column++)
+        if (held->touched[column]) {
+            Size walk = column - others;
+            held->from[count] = column * length;
+            held->at[count++] = walk < 0            ? knots + column
+                                : walk < all->walks ? all->path + walk
+                                                    : d + all->path + walk - all->walks;
+            held->touched[column] = 0;
+        }
+    for (Size j = 0; j < 3; j++)
+        for (Size b = 0; b < size; b++) {
+            Size row = b / order * d + 3 * (b % order) + j;
+            double scale = all->scale[3 * (b % order) + j], *to = total + row * width;
+            const double *cross = held->cross + j * pitch + b;
+            for (Size k = 0; k < count; k++) {
+                double value = scale * cross[held->from[k]];
+                to[held->at[k]] += value;
+                if (held->at[k] < knots)
+                    total[held->at[k] * width + row] += value;
+            }
+        }
+    if (4 * count > columns)
+        memset(held->cross, 0, sizeof(double) * (size_t)(columns * length));
+    else
+        for (Size k = 0; k < count; k++)
+            memset(held->cross + held->from[k], 0, sizeof(double) * (size_t)length);
+}
+
+INLINE void put(Size order, const Blocks *all, Size place, Size knots, Held *held)
+{
+    if (order)
+        put_moments(order, all, place, knots, held);
+    else
+        put_rows(all, place, knots, held);
+}
+
+INLINE int add_all_of(Size order, Size r, const Blocks *all, Held *held)
 {
     Size d = all->path + all->walks, knots = all->chained ? 2 * d : d;
     Size c = all->constants + 1, before = -1;
     for (Size i = 0; i < all->n; i++) {
         Size place = (Size)all->interval[i];
         if (place != before && before >= 0)
-            put(all, before, knots, held);
+            put(order, all, before, knots, held);
         before = place;
         double root = all->weight == NULL ? 1.0 : all->weight[i];
         if (order)
-            add_moments_of(2 * order, all, i, root, knots, held,
+            add_moments_of(2 * order, r, all, i, root, knots, held,
                            all->knots + place * knots * (knots + c));
         else
             add_rows_of(all, i, root, d, knots, held);
-        add_others(all, i, root, all->others + (all->held > 1 ? place * c * c : 0));
+        add_others(r, all, i, root, all->others + (all->held > 1 ? place * c * c : 0));
     }
     if (before >= 0)
-        put(all, before, knots, held);
+        put(order, all, before, knots, held);
     for (Size k = 0; k < all->held; k++)
         mirror(c, all->others + k * c * c);
     return 1;
@@ -895,30 +1279,32 @@ INLINE int add_all_of(Size order, const Blocks *all, Held *held)
 WIDE static int add_all(const Blocks *all, Held *held)
 {
     if (all->order == 0)
-        return add_all_of(0, all, held);
-    /* Loops of known length are unrolled for the usual motion. */
-    return all->order == 3 ? add_all_of(3, all, held) : add_all_of(all->order, all, held);
+        return add_all_of(0, all->r, all, held);
+    /* Loops of known length are unrolled for the usual motions and rows. */
+    if (all->order == 3 && all->r == 2)
+        return add_all_of(3, 2, all, held);
+    if (all->order == 2 && all->r == 2)
+        return add_all_of(2, 2, all, held);
+    return add_all_of(all->order, all->r, all, held);
 }
 
 /* Make room for the sums of an interval; NULL without memory. */
 static double *make_room(const Blocks *all, Size knots, Held *held)
 {
     Size columns = all->constants + 1 + 2 * all->walks, size = 2 * all->order;
-    Size d = all->path + all->walks;
-    Size own = all->order ? 6 * MOST_PAIRS : knots * knots;
-    double *room = calloc((size_t)(own + columns * knots + 2 * knots + 1),  sizeof(double));
+    Size own = all->order ? MOMENTS * MOST_PAIRS : knots * knots;
+    Size waiting = all->order ? WAITING * (MOST_PAIRS + MOMENTS) : 0;
+    Size length = all->order ? 3 * PADDED(size) : knots;
+    Size held_apart = own + columns * length + 2 * knots;
+    double *room = calloc((size_t)(held_apart + waiting + 1), sizeof(double));
     if (room == NULL)
         return NULL;
+    held->waiting = 0;
+    held->pairs = room + held_apart;
+    held->moments = held->pairs + WAITING * MOST_PAIRS;
     held->own = room;
     held->cross = held->own + own;
-    held->row = held->cross + columns * knots;
-    held->columns = all->order ? 3 * size : knots;
-    for (Size j = 0; j < 3; j++)
-        for (Size b = 0; b < size; b++) {
-            Size half = b / all->order, component = 3 * (b % all->order) + j;
-            held->column[j * size + b] = half * d + component;
-            held->scale[j * size + b] = all->scale[component];
-        }
+    held->row = held->cross + columns * length;
     return room;
 }
 
@@ -980,10 +1366,11 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
         fits &= all.constant_column[k] >= 0 && all.constant_column[k] < all.constants;
     for (Size k = 0; k < all.f; k++)
         fits &= all.walk_column[k] >= 0 && all.walk_column[k] < all.walks;
-    Size *index = malloc(sizeof(Size) * (size_t)(2 * (all.n + 2) + all.e + all.f));
+    Size touched = columns + 2 * all.walks, entries = 2 * (all.n + 2) + all.e + all.f;
+    Size *index = malloc(sizeof(Size) * (size_t)(entries + 2 * touched));
     Held held;
     double *room = make_room(&all, knots, &held);
-    held.touched = calloc((size_t)(columns + 2 * all.walks), 1);
+    held.touched = calloc((size_t)touched, 1);
     if (index == NULL || room == NULL || held.touched == NULL) {
         free(index);
         free(room);
@@ -992,6 +1379,8 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
         return PyErr_NoMemory();
     }
     Py_BEGIN_ALLOW_THREADS
+    held.from = index + entries;
+    held.at = held.from + touched;
     Size *first = index, *first_walk = first + all.n + 2;
     Size *entry = first_walk + all.n + 2, *entry_walk = entry + all.e;
     all.first = first;
@@ -1018,12 +1407,13 @@ static PyObject *add_blocks(PyObject *self, PyObject *const *arguments, Size giv
 enum { AZIMUTH = 0, ELEVATION = 1, CLOCK = 2, POSITION = 3, VELOCITY = 6, SPEED = 10, CHANNELS = 14 };
 
 typedef struct {
-    Size n, knots, order, e, s, f, walks;
+    Size n, knots, order, e, s, f, walks, poses;
     const double *knots_s, *basis, *hermite;
-    const double *received_s, *sensor_m, *axes, *sensor_velocity, *axes_rate;
-    const double *azimuth, *elevation, *noise_elevation, *tangent, *white;
+    const int64_t *pose; /* of each bearing: the row of the four that follow */
+    const double *sensor_m, *axes, *sensor_velocity, *axes_rate, *received_s;
+    const double *azimuth, *elevation, *turned, *tangent, *white;
     double speed_m_s, spin_rad_s, enough_s;
-    int clocked, fast, rounds;
+    int clocked, fast, noisy, rounds;
     double *light_time_s, *residual, *time_s, *weights, *by_position, *by_constants;
     int64_t *interval;
     const int64_t *constant_row, *constant_channel, *constant_column;
@@ -1041,12 +1431,13 @@ INLINE double dot(const double *a, const double *b)
 
 static const double FACTORIAL[2 * MOST_ORDER] = {1.0, 1.0, 2.0, 6.0, 24.0, 120.0};
 
-/* factors/kinematics.py: interpolation_weights, of position and velocity. */
-INLINE void weights(Size order, const double *hermite, double step, double offset,
-                           double *position, double *velocity)
+/* factors/kinematics.py: interpolation_weights, of position and velocity; without the latter where
+   it is not asked for. */
+INLINE void weights(Size order, int moving, const double *hermite, double step, double offset,
+                    double *position, double *velocity)
 {
     Size size = 2 * order;
-    double s = offset / step;
+    double each = 1.0 / step, s = offset * each;
     if (s < 0.0 || s > 1.0) {
         Size first = s < 0.0 ? 0 : order;
         double since = s < 0.0 ? offset : offset - step, power = 1.0;
@@ -1071,10 +1462,12 @@ INLINE void weights(Size order, const double *hermite, double step, double offse
             double value = by[0], slope = 0.0;
             for (Size power = 1; power < size; power++) {
                 value += by[power] * powers[power];
-                slope += by[power] * (double)power * powers[power - 1];
+                if (moving)
+                    slope += by[power] * (double)power * powers[power - 1];
             }
             position[row] = value * unit;
-            velocity[row] = slope * unit / step;
+            if (moving)
+                velocity[row] = slope * unit * each;
         }
 }
 
@@ -1140,17 +1533,34 @@ typedef struct {
 #define OPPOSITE 1e-7
 #define LEAST_COSINE 1e-7
 
-/* factors/bearing.py: tangent_residual. */
-INLINE Miss tangent_miss(const double *sight, double azimuth, double elevation,
-                                const double *noise_elevation)
+/* Cosine and sine of an angle less "by", from those of the angle. */
+INLINE void turn_by(const double *angle, double by, double *cosine, double *sine)
+{
+    double c, s;
+    if (fabs(by) < 0.05) {
+        double square = by * by;
+        c = 1.0 - square / 2.0 * (1.0 - square / 12.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0)));
+        s = by * (1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)));
+    } else {
+        c = cos(by);
+        s = sin(by);
+    }
+    *cosine = angle[0] * c + angle[1] * s;
+    *sine = angle[1] * c - angle[0] * s;
+}
+
+/* factors/bearing.py: tangent_residual; "measured" has cosine and sine of azimuth and of elevation,
+   from which the errors are taken. "noisy": the noise's metric is that of the measured elevation. */
+INLINE Miss tangent_miss(const double *sight, const double *measured, const double *errors, int noisy)
 {
     Miss found;
-    double sin_a = sin(azimuth), cos_a = cos(azimuth);
-    double sin_e = sin(elevation), cos_e = cos(elevation);
-    double distance = sqrt(dot(sight, sight));
-    double direction[3] = {sight[0] / distance, sight[1] / distance, sight[2] / distance};
-    double forward = (sight[0] * cos_a + sight[1] * sin_a) / distance, up = direction[2];
-    double s1 = (sight[1] * cos_a - sight[0] * sin_a) / distance;
+    double sin_a, cos_a, sin_e, cos_e;
+    turn_by(measured, errors[AZIMUTH], &cos_a, &sin_a);
+    turn_by(measured + 2, errors[ELEVATION], &cos_e, &sin_e);
+    double near = 1.0 / sqrt(dot(sight, sight));
+    double direction[3] = {sight[0] * near, sight[1] * near, sight[2] * near};
+    double forward = direction[0] * cos_a + direction[1] * sin_a, up = direction[2];
+    double s1 = direction[1] * cos_a - direction[0] * sin_a;
     double s2 = up * cos_e - forward * sin_e;
     double c = forward * cos_e + up * sin_e;
     double sine2 = s1 * s1 + s2 * s2;
@@ -1159,7 +1569,7 @@ INLINE Miss tangent_miss(const double *sight, double azimuth, double elevation,
         s2 = 0.0;
         sine2 = s1 * s1 + s2 * s2;
     }
-    double stretch = 1.0 + sine2 / 6.0 + 3.0 * sine2 * sine2 / 40.0;
+    double stretch = 1.0 + sine2 * (1.0 / 6.0 + sine2 * (3.0 / 40.0));
     double curvature = 1.0 / 3.0 + sine2 * (2.0 / 15.0);
     if (sine2 > 1e-6 || c < 0.0) {
         double sine = sqrt(sine2), theta = atan2(sine, c);
@@ -1167,8 +1577,8 @@ INLINE Miss tangent_miss(const double *sight, double azimuth, double elevation,
         curvature = (sine - theta * c) / (sine * sine * sine);
     }
     double ratio = 1.0, level2 = 1.0;
-    if (noise_elevation != NULL) {
-        double noise = cos(*noise_elevation);
+    if (noisy) {
+        double noise = measured[2];
         level2 = cos_e * cos_e + ZENITH_ROUNDING * ZENITH_ROUNDING;
         ratio = sqrt((noise * noise + ZENITH_ROUNDING * ZENITH_ROUNDING) / level2);
     }
@@ -1180,11 +1590,10 @@ INLINE Miss tangent_miss(const double *sight, double azimuth, double elevation,
     /* dr = stretch ds + curvature s (c s.ds - sin^2 dc). */
     for (int axis = 0; axis < 3; axis++) {
         double by = direction[axis];
-        double ds1 = (e1[axis] - s1 * by) / distance, ds2 = (e2[axis] - s2 * by) / distance;
-        double dc = (u[axis] - c * by) / distance;
+        double ds1 = e1[axis] - s1 * by, ds2 = e2[axis] - s2 * by, dc = u[axis] - c * by;
         double both = curvature * (c * (s1 * ds1 + s2 * ds2) - sine2 * dc);
-        found.by_sight[0][axis] = stretch * ds1 + s1 * both;
-        found.by_sight[1][axis] = stretch * ds2 + s2 * both;
+        found.by_sight[0][axis] = (stretch * ds1 + s1 * both) * near;
+        found.by_sight[1][axis] = (stretch * ds2 + s2 * both) * near;
     }
     double turned[2][3] = {{sin_e * s2 - cos_e * c, -sin_e * s1, cos_e * s1}, {0.0, -c, s2}};
     for (int error = 0; error < 2; error++) {
@@ -1193,7 +1602,7 @@ INLINE Miss tangent_miss(const double *sight, double azimuth, double elevation,
         found.by_error[0][error] = -(stretch * ds1 + s1 * both);
         found.by_error[1][error] = -(stretch * ds2 + s2 * both);
     }
-    if (noise_elevation != NULL) {
+    if (noisy) {
         found.by_error[0][1] -= found.value[0] * cos_e * sin_e / level2;
         found.value[0] *= ratio;
         for (int axis = 0; axis < 3; axis++)
@@ -1231,11 +1640,11 @@ INLINE Miss coordinate_miss(const double *sight, double azimuth, double elevatio
 
 /* Derivatives of the whitened rows by all channels of error and by the position at emission;
    families/bearings.py: _derivatives. */
-INLINE void derive(const Bearings *all, Size i, const double *errors, const Sight *seen,
+INLINE void derive(const Bearings *all, Size i, Size pose, const double *errors, const Sight *seen,
                    const Miss *miss, double speed, double by_channel[2][CHANNELS],
                    double by_position[2][3])
 {
-    const double *axes = all->axes + 9 * i;
+    const double *axes = all->axes + 9 * pose;
     double unit[3], rate = speed;
     for (int j = 0; j < 3; j++)
         unit[j] = seen->line[j] / seen->distance;
@@ -1267,11 +1676,11 @@ INLINE void derive(const Bearings *all, Size i, const double *errors, const Sigh
         if (all->clocked) {
             double by_time = 0.0;
             for (int j = 0; j < 3; j++)
-                by_time += by[j] * (seen->velocity[j] - all->sensor_velocity[3 * i + j] -
+                by_time += by[j] * (seen->velocity[j] - all->sensor_velocity[3 * pose + j] -
                                     errors[VELOCITY + j]);
             if (all->axes_rate != NULL)
                 for (int j = 0; j < 3; j++)
-                    by_time += in_axes[j] * dot(all->axes_rate + 9 * i + 3 * j, seen->line);
+                    by_time += in_axes[j] * dot(all->axes_rate + 9 * pose + 3 * j, seen->line);
             by_channel[q][CLOCK] = -by_time;
         }
         by_position[q][0] = cosine * by[0] - sine * by[1];
@@ -1280,11 +1689,13 @@ INLINE void derive(const Bearings *all, Size i, const double *errors, const Sigh
     }
 }
 
-INLINE void bearings_of(Size order, const Bearings *all)
+/* "moving": velocities matter, for signals take their time or clocks are off. */
+INLINE void bearings_of(Size order, int moving, const Bearings *all)
 {
     Size size = 2 * order, guess = 0;
     for (Size i = 0; i < all->n; i++) {
         double errors[CHANNELS] = {0.0};
+        Size pose = (Size)all->pose[i];
         for (Size k = all->first[i]; k < all->first[i + 1]; k++) {
             Size entry = all->entry[k];
             errors[all->constant_channel[entry]] +=
@@ -1292,7 +1703,7 @@ INLINE void bearings_of(Size order, const Bearings *all)
         }
         double speed = all->speed_m_s + errors[SPEED], sensor[3], place[2 * MOST_ORDER], rates[2 * MOST_ORDER];
         for (int j = 0; j < 3; j++)
-            sensor[j] = all->sensor_m[3 * i + j] + errors[POSITION + j];
+            sensor[j] = all->sensor_m[3 * pose + j] + errors[POSITION + j];
         double light_time = all->light_time_s[i], emitted = 0.0;
         Sight seen;
         memset(&seen, 0, sizeof seen);
@@ -1300,17 +1711,18 @@ INLINE void bearings_of(Size order, const Bearings *all)
             emitted = all->received_s[i] - light_time;
             guess = find(all->knots_s, all->knots, emitted, guess);
             double before = all->knots_s[guess];
-            weights(order, all->hermite, all->knots_s[guess + 1] - before, emitted - before, place,
-                    rates);
+            weights(order, moving, all->hermite, all->knots_s[guess + 1] - before,
+                    emitted - before, place, rates);
             const double *basis = all->basis + guess * size * 3;
             double at[3] = {0.0, 0.0, 0.0}, velocity[3] = {0.0, 0.0, 0.0};
             for (Size b = 0; b < size; b++)
                 for (int j = 0; j < 3; j++) {
                     at[j] += place[b] * basis[3 * b + j];
-                    velocity[j] += rates[b] * basis[3 * b + j];
+                    if (moving)
+                        velocity[j] += rates[b] * basis[3 * b + j];
                 }
             seen = look(at, velocity, sensor, light_time, all->spin_rad_s);
-            if (isinf(all->speed_m_s))
+            if (!moving || isinf(all->speed_m_s))
                 break;
             double closing = dot(seen.line, seen.inertial) / seen.distance;
             double correction = (seen.distance - speed * light_time) / (speed + closing);
@@ -1339,22 +1751,20 @@ INLINE void bearings_of(Size order, const Bearings *all)
         all->light_time_s[i] = light_time;
         all->interval[i] = guess;
         all->time_s[i] = emitted;
-        const double *axes = all->axes + 9 * i;
+        const double *axes = all->axes + 9 * pose;
         double sight[3] = {dot(axes, seen.line), dot(axes + 3, seen.line), dot(axes + 6, seen.line)};
-        double azimuth = all->azimuth[i] - errors[AZIMUTH];
-        double elevation = all->elevation[i] - errors[ELEVATION];
         Miss miss;
         if (all->tangent == NULL || all->tangent[i] != 0.0)
-            miss = tangent_miss(sight, azimuth, elevation,
-                                all->noise_elevation == NULL ? NULL : all->noise_elevation + i);
+            miss = tangent_miss(sight, all->turned + 4 * i, errors, all->noisy);
         else
-            miss = coordinate_miss(sight, azimuth, elevation);
+            miss = coordinate_miss(sight, all->azimuth[i] - errors[AZIMUTH],
+                                   all->elevation[i] - errors[ELEVATION]);
         for (int q = 0; q < 2; q++)
             all->residual[2 * i + q] = miss.value[q] * all->white[2 * i + q];
         if (all->by_position == NULL)
             continue;
         double channel[2][CHANNELS];
-        derive(all, i, errors, &seen, &miss, speed, channel, (double(*)[3])(all->by_position + 6 * i));
+        derive(all, i, pose, errors, &seen, &miss, speed, channel, (double(*)[3])(all->by_position + 6 * i));
         memcpy(all->weights + i * size, place, sizeof(double) * (size_t)size);
         for (Size k = all->first[i]; k < all->first[i + 1]; k++) {
             Size entry = all->entry[k], by = (Size)all->constant_channel[entry];
@@ -1371,7 +1781,14 @@ INLINE void bearings_of(Size order, const Bearings *all)
 
 WIDE static void bearings_all(const Bearings *all)
 {
-    bearings_of(all->order, all);
+    int moving = isfinite(all->speed_m_s) || all->clocked;
+    /* Loops of known length are unrolled for the usual motions. */
+    if (all->order == 3)
+        moving ? bearings_of(3, 1, all) : bearings_of(3, 0, all);
+    else if (all->order == 2)
+        moving ? bearings_of(2, 1, all) : bearings_of(2, 0, all);
+    else
+        bearings_of(all->order, 1, all);
 }
 
 static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given)
@@ -1386,9 +1803,11 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.s = whole(&reader);
     Size f = all.f = whole(&reader);
     all.walks = whole(&reader);
+    all.poses = whole(&reader);
     all.rounds = (int)whole(&reader);
     all.clocked = (int)whole(&reader);
     all.fast = (int)whole(&reader);
+    all.noisy = (int)whole(&reader);
     all.speed_m_s = number(&reader);
     all.spin_rad_s = number(&reader);
     all.enough_s = number(&reader);
@@ -1400,13 +1819,14 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.basis = reals(&reader, (knots - 1) * 2 * order * 3);
     all.hermite = reals(&reader, 4 * order * order);
     all.received_s = reals(&reader, n);
-    all.sensor_m = reals(&reader, 3 * n);
-    all.axes = reals(&reader, 9 * n);
-    all.sensor_velocity = reals(&reader, 3 * n);
-    all.axes_rate = reals(&reader, 9 * n);
+    all.pose = integers(&reader, n);
+    all.sensor_m = reals(&reader, 3 * all.poses);
+    all.axes = reals(&reader, 9 * all.poses);
+    all.sensor_velocity = reals(&reader, 3 * all.poses);
+    all.axes_rate = reals(&reader, 9 * all.poses);
     all.azimuth = reals(&reader, n);
     all.elevation = reals(&reader, n);
-    all.noise_elevation = reals(&reader, n);
+    all.turned = reals(&reader, 4 * n);
     all.tangent = reals(&reader, n);
     all.white = reals(&reader, 2 * n);
     all.light_time_s = results(&reader, n);
@@ -1430,8 +1850,8 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
     all.walk_before = results(&reader, f);
     all.walk_after = results(&reader, f);
     all.by_walks = results(&reader, all.by_position == NULL ? 0 : 2 * f);
-    int there = all.knots_s && all.basis && all.hermite && all.received_s && all.sensor_m &&
-                all.axes && all.sensor_velocity && all.azimuth && all.elevation &&
+    int there = all.knots_s && all.basis && all.hermite && all.received_s && all.pose && all.sensor_m &&
+                all.axes && all.sensor_velocity && all.azimuth && all.elevation && all.turned &&
                 all.white && all.light_time_s && all.residual && all.interval && all.time_s &&
                 all.constant_row && all.constant_channel && all.constant_column &&
                 all.constant_basis && all.constants && all.walk_row && all.walk_channel &&
@@ -1444,6 +1864,8 @@ static PyObject *bearings(PyObject *self, PyObject *const *arguments, Size given
         return NULL;
     }
     int fits = 1;
+    for (Size i = 0; i < n; i++)
+        fits &= all.pose[i] >= 0 && all.pose[i] < all.poses;
     for (Size k = 0; k < e; k++)
         fits &= all.constant_channel[k] >= 0 && all.constant_channel[k] < CHANNELS &&
                 all.constant_column[k] >= 0 && all.constant_column[k] < all.s;
@@ -1696,6 +2118,10 @@ static PyMethodDef methods[] = {
      "geograph.sweep.chain_marginals"},
     {"substitute", (PyCFunction)(void (*)(void))substitute, METH_FASTCALL,
      "The back substitution of geograph.eliminate.Factorisation.solve"},
+    {"substitute_later", (PyCFunction)(void (*)(void))substitute_later, METH_FASTCALL,
+     "geograph.sweep.Ends.substitute"},
+    {"turn_back", (PyCFunction)(void (*)(void))turn_back_later, METH_FASTCALL,
+     "geograph.sweep.Ends.turned_back"},
     {"add_blocks", (PyCFunction)(void (*)(void))add_blocks, METH_FASTCALL,
      "geograph.blocks.BlockSum.add"},
     {"bearings", (PyCFunction)(void (*)(void))bearings, METH_FASTCALL,

@@ -21,7 +21,7 @@ typedef struct {
 INLINE void both_weights(Size order, const double *hermite, double step, double offset,
                          double *place, double *rate)
 {
-    weights(order, hermite, step, offset, place, rate);
+    weights(order, 1, hermite, step, offset, place, rate);
 }
 
 /* Where an object is at a time; the interval found last is the first guess. */
@@ -849,11 +849,6 @@ typedef struct {
     double *rows, *products, *taken, *by_knots;
     Size *column, *slot;
 } Shared;
-
-/* Rows are filled up to whole registers. */
-#ifndef PADDED
-#define PADDED(size) (((size) + 3) & ~(Size)3)
-#endif
 
 /* common.py: project, of the rows of one group, whose last column is the residual. */
 INLINE void take_up(const Shared *shared, Size k, const double *slope, Size count, Size last,

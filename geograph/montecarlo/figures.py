@@ -123,6 +123,9 @@ def _scores(runs: Sequence[Run]) -> dict[str, Any]:
     known = np.isfinite(square) & np.isfinite(bound)
     ours, least = _means(np.where(known, square, np.nan)), _means(np.where(known, bound, np.nan))
     ratio = float(np.sqrt(_mean(ours) / _mean(least)))
+    # Every run over its own bound: runs of a wide geometry do not outweigh all others.
+    relative = ours / least
+    by_run = float(np.sqrt(_mean(relative)))
     each = _means(nees)
     values = nees[~np.isnan(nees)]
     return {
@@ -134,6 +137,8 @@ def _scores(runs: Sequence[Run]) -> dict[str, Any]:
         "rmse_over_bound": ratio,
         # Of a root of a mean of squares, to the first order.
         "rmse_over_bound_error": 0.5 * ratio * _error(ours) / max(_mean(ours), 1e-300),
+        "rmse_over_bound_by_run": by_run,
+        "rmse_over_bound_by_run_error": 0.5 * _error(relative) / max(by_run, 1e-300),
         "anees": _mean(each),
         "anees_error": _error(each),
         "anees_expected": axes,

@@ -199,6 +199,10 @@ def _draw_facts(point: Mapping[str, Any], ax: Axes) -> None:
         ("median of the runs' RMS", _length(point["median_rms_m"])),
         ("Cramer-Rao bound", _length(point["bound_m"])),
         ("RMSE / bound", _pair(point["rmse_over_bound"], point["rmse_over_bound_error"])),
+        (
+            "  every run over its own",
+            _pair(point["rmse_over_bound_by_run"], point["rmse_over_bound_by_run_error"]),
+        ),
         ("ANEES", f"{_pair(point['anees'], point['anees_error'])} ({point['anees_expected']})"),
         ("KL divergence", _pair(point["divergence"], point["divergence_error"])),
         ("  of as many honest runs", f"{point['divergence_of_honest']:.3f}"),
@@ -206,7 +210,7 @@ def _draw_facts(point: Mapping[str, Any], ax: Axes) -> None:
     ]
     ax.set_axis_off()
     for index, (name, text) in enumerate(rows):
-        height = 0.92 - 0.115 * index
+        height = 0.92 - 0.105 * index
         ax.text(0.02, height, name, transform=ax.transAxes, fontsize=10)
         ax.text(0.62, height, text, transform=ax.transAxes, fontsize=10)
 

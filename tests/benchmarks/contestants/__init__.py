@@ -14,6 +14,7 @@ from contestants.per_bearing import PerBearing
 from contestants.reference import Reference
 from contestants.sparse import LeastSquares, SparseGaussNewton
 from contestants.stone_soup import StoneSoup
+from contestants.stone_soup_each import StoneSoupEach
 from contestants.symforced import Symforce
 
 CONTESTANTS: dict[str, type[Contestant]] = {
@@ -26,6 +27,7 @@ CONTESTANTS: dict[str, type[Contestant]] = {
         LeastSquares,
         Ceres,
         Symforce,
+        StoneSoupEach,
         StoneSoup,
         FilterPy,
         Gri,

@@ -134,7 +134,7 @@ class _StoneSoupRun(Run):
 class StoneSoup(Contestant):
     """Stone Soup."""
 
-    name = "stone-soup"
+    name = "gathered-stone-soup"
     about = "Stone Soup: EKF + RTS smoother, biases in the state, one update a knot"
     same_cost = False
 
