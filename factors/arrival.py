@@ -101,13 +101,13 @@ class Ray:
         """Return c + u.V, shape (n,)."""
         return self.speed_m_s + _dot(self.unit, self.inertial_velocity_m_s)
 
-    def take(self, index: NDArray[np.int64]) -> Ray:
+    def take(self, index: NDArray[np.int64] | slice) -> Ray:
         """Return some of the rays, in a given order, repeated if so asked.
 
         Parameters
         ----------
         index
-            Shape (k,), integer.
+            Shape (k,), integer; or a range of them.
         """
 
         def picked(holder: object) -> dict[str, Any]:
