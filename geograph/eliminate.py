@@ -241,7 +241,8 @@ class Elimination(Factorisation):
             self._half_log, self._square = found.half_log, found.square
         else:
             knot = knot + system.blocks.knots[0]
-            other = other + system.blocks.others.sum(axis=0)
+            others = system.blocks.others
+            other += others[0] if len(others) == 1 else others.sum(axis=0)
         information = np.empty((size, size))
         information[:d], information[d:, :d] = knot[:, :-1], knot[:, d:-1].T
         information[d:, d:] = other[:-1, :-1]

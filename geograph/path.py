@@ -158,7 +158,11 @@ class KinematicPathState(PathState):
 
     def __init__(self, path: KinematicPath, state: NDArray[np.float64]) -> None:
         self._order = path.order
-        following = state[1:] if state.shape[0] > 1 else np.zeros_like(state)
+        if state.shape[0] == 1:
+            self._basis = np.zeros((1, 2 * path.order, 3))
+            self._basis[0, : path.order] = state.reshape(-1, 3)
+            return
+        following = state[1:]
         both = np.concatenate([state[: following.shape[0]], following], axis=1)
         self._basis = both.reshape(following.shape[0], 2 * path.order, 3)
 

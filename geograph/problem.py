@@ -352,11 +352,10 @@ class Problem:
     def moved(self, values: Values, step: Step) -> Values:
         """Return the point a step away."""
         m = self.layout.path
-        return replace(
-            values,
-            path=values.path + step.knots[:, :m] * self.path_scale,
-            walks=values.walks + step.knots[:, m:],
-            constants=values.constants + step.constants,
+        return type(values)(
+            values.path + step.knots[:, :m] * self.path_scale,
+            values.walks + step.knots[:, m:],
+            values.constants + step.constants,
         )
 
     def refresh(self, values: Values) -> None:
