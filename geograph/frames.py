@@ -236,6 +236,15 @@ class SensorGeometry:
                 position[rows], velocity[rows], acceleration[rows] = found
         return SensorMotion(position, velocity, acceleration)
 
+    def places(self, sensor: NDArray[np.int64], time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where sensors (indices, shape (n,)) are at times (shape (n,)), shape (n, 3)."""
+        position = self._position[sensor]
+        for index, mover in self._movers.items():
+            rows = np.flatnonzero(sensor == index)
+            if rows.size:
+                position[rows] = mover.position_at(time_s[rows])
+        return position
+
     @cached_property
     def pieces(self) -> SensorPieces:
         """The ways of all sensors, as compiled code reads them."""

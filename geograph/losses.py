@@ -42,6 +42,12 @@ class Loss:
                 f"unknown loss {self.name!r}; expected none, huber, cauchy or geman-mcclure"
             )
 
+    @property
+    def tuning(self) -> float:
+        """The tuning constant, in sigmas; 0 where every measurement counts as it is."""
+        constants = {"huber": _HUBER, "cauchy": _CAUCHY, "geman-mcclure": _GEMAN_MCCLURE}
+        return constants.get(self.name, 0.0)
+
     def value_and_weight(
         self, square: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -28,6 +28,7 @@ import geograph as gg
 from geograph.cli import main
 from geograph.families import BearingFamily
 from geograph.feed import json_lines
+from geograph.incremental import intervals
 
 POISON_DEG = 12.3456789
 NAMES = ("x_m", "y_m", "z_m")
@@ -40,6 +41,20 @@ def raise_for_poison(evaluate, error=RuntimeError):
         if (np.abs(bearings.bearings.azimuth_rad - np.radians(POISON_DEG)) < 1e-9).any():
             raise error("an exception inside a factor")
         return evaluate(bearings, *arguments, **options)
+
+    return raising
+
+
+def raise_for_poison_of(interval, error=RuntimeError):
+    """Return the same of an interval's bearings in compiled code."""
+
+    def raising(model, fixed, chain, k):
+        columns = chain.pieces[k].rows.get("bearings")
+        if columns is not None:
+            poison = np.abs(columns["azimuth_rad"] - np.radians(POISON_DEG)) < 1e-9
+            if poison.any():
+                raise error("an exception inside a factor")
+        return interval(model, fixed, chain, k)
 
     return raising
 
@@ -96,6 +111,7 @@ def run(folder, runs, seed):
         write_small(recording)
     lines = list(json_lines(gg.read(recording)))
     BearingFamily.evaluate = raise_for_poison(BearingFamily.evaluate)
+    intervals.interval = raise_for_poison_of(intervals.interval)
     seen, worst, failed = Counter(), 0.0, []
     for number in range(runs):
         rng = random.Random(seed + number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 from dataclasses import replace
 
 import feeding
@@ -148,6 +149,28 @@ def test_random_order_and_duplicates_change_nothing(lag):
     assert estimate.duplicate_count == again.size
     assert sorted(named) == sorted(table.line[again].tolist())
     assert feeding.newest_sigmas(estimate, batch) < (NEAR if lag is None else NEWEST)
+
+
+def test_errors_of_sensors_are_those_of_their_update_whenever_they_are_read():
+    recording = small_pass(1)
+    smoother = gg.IncrementalSmoother.of(recording)
+    held = [smoother.update(part) for part in feeding.parts(recording, every=12)][-3:]
+    again = [pickle.loads(pickle.dumps(estimate)) for estimate in held]
+    for late, other in zip(held, again, strict=True):
+        assert late.sensor_errors == other.sensor_errors
+        assert repr(late.sensor_errors) == repr(other.sensor_errors)
+        assert len(late.sensor_errors) == len(recording.sensors)
+    values = [estimate.sensor_errors["G1"]["azimuth_bias"].sigma for estimate in held]
+    assert values[0] > values[1] > values[2] > 0.0
+
+
+def test_an_azimuth_alone_that_comes_again_is_named():
+    table = small_pass(1).bearings
+    table = replace(table, elevation_rad=np.full(len(table), np.nan))
+    smoother = gg.IncrementalSmoother.of(small_pass(1))
+    smoother.update(feeding.take(table, np.arange(4)))
+    estimate = smoother.update(feeding.take(table, np.arange(2, 6)))
+    assert [name.line for name in estimate.duplicates] == table.line[2:4].tolist()
 
 
 def test_silent_and_late_sensors_and_a_gap():

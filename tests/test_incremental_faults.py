@@ -8,11 +8,12 @@ import logging
 import feeding
 import numpy as np
 import pytest
-from feed_faults import POISON_DEG, raise_for_poison
+from feed_faults import POISON_DEG, raise_for_poison, raise_for_poison_of
 from test_incremental import small_pass
 
 import geograph as gg
 from geograph.families import BearingFamily
+from geograph.incremental import intervals
 from geograph.incremental.rows import TABLES, Emissions, read
 from geograph.incremental.trial import try_rows
 from geograph.prepare import prepare
@@ -66,8 +67,18 @@ def test_a_fault_inside_a_family_changes_nothing(halfway, monkeypatch, what):
         found = real(self, *arguments, **options)
         return dataclasses.replace(found, residual=np.full_like(found.residual, np.nan))
 
+    interval = intervals.interval
+
+    def broken_interval(model, tables, chain, k):
+        if what != "nan":
+            broken(None)
+        bad = chain.copy()
+        bad.path[k] = np.full_like(bad.path[k], np.nan)
+        return interval(model, tables, bad, k)
+
     with monkeypatch.context() as patch:
         patch.setattr(BearingFamily, "evaluate", broken)
+        patch.setattr(intervals, "interval", broken_interval)
         with pytest.raises(gg.UpdateError):
             smoother.update(rest[0])
     same(picture(smoother), before)
@@ -81,16 +92,20 @@ def test_a_fault_inside_a_family_changes_nothing(halfway, monkeypatch, what):
 
 def test_a_fault_that_passes_is_recovered_from_and_logged(halfway, monkeypatch, caplog):
     recording, smoother, rest = halfway
-    real, calls = BearingFamily.evaluate, []
+    calls = []
 
-    def once(self, *arguments, **options):
-        calls.append(0)
-        if len(calls) == 1:
-            raise FloatingPointError("once")
-        return real(self, *arguments, **options)
+    def once(real):
+        def raising(*arguments, **options):
+            calls.append(0)
+            if len(calls) == 1:
+                raise FloatingPointError("once")
+            return real(*arguments, **options)
+
+        return raising
 
     with monkeypatch.context() as patch, caplog.at_level(logging.WARNING, "geograph.incremental"):
-        patch.setattr(BearingFamily, "evaluate", once)
+        patch.setattr(BearingFamily, "evaluate", once(BearingFamily.evaluate))
+        patch.setattr(intervals, "interval", once(intervals.interval))
         estimate = smoother.update(rest[0])
     assert estimate.rebuilt == 1
     assert "made anew (FloatingPointError: once)" in caplog.text
@@ -164,6 +179,7 @@ def test_what_raises_before_the_start_is_refused_by_itself(monkeypatch, error, p
     raising = raise_for_poison(BearingFamily.evaluate, error)
     poison = np.radians([POISON_DEG])
     monkeypatch.setattr(BearingFamily, "evaluate", raising)
+    monkeypatch.setattr(intervals, "interval", raise_for_poison_of(intervals.interval, error))
     clean, faulty = (gg.IncrementalSmoother.of(recording) for _ in range(2))
     for k, row in enumerate(rows[:60]):
         clean.update(row)

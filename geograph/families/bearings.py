@@ -44,10 +44,15 @@ if TYPE_CHECKING:
 _LIGHT_TIME_TOLERANCE_S = 1e-6
 _SLOW_TOLERANCE_S = 1e-9
 _SLOW_M_S = 1e6
-_LIGHT_TIME_ROUNDS = 20
+LIGHT_TIME_ROUNDS = 20
 
 # Cosine of the elevation below which a measured azimuth is that of the zenith.
-_ZENITH = 1e-6
+ZENITH = 1e-6
+
+
+def light_time_tolerance_s(speed_m_s: float) -> float:
+    """Return how exact light times are found before the last step, seconds, by the speed."""
+    return _LIGHT_TIME_TOLERANCE_S if speed_m_s > _SLOW_M_S else _SLOW_TOLERANCE_S
 
 
 class BearingFamily(SensorFamily):
@@ -138,7 +143,7 @@ class BearingFamily(SensorFamily):
             return np.asarray(white)
         white[self.azimuth_only, 1] = 0.0
         # At the zenith a coordinate's azimuth says nothing, however small its sigma.
-        white[~self._tangent & ~self.azimuth_only & (level < _ZENITH), 0] = 0.0
+        white[~self._tangent & ~self.azimuth_only & (level < ZENITH), 0] = 0.0
         return np.asarray(white)
 
     def refresh(self, path: Path, values: Values) -> None:
@@ -188,7 +193,7 @@ class BearingFamily(SensorFamily):
         poses = self._posed(received)
         position = poses.position_m + errors[:, POSITION : POSITION + 3]
         speed, enough = self._speed(float(errors[0, SPEED]) if len(self) else 0.0)
-        for _ in range(_LIGHT_TIME_ROUNDS):
+        for _ in range(LIGHT_TIME_ROUNDS):
             place = self._locate(path, received - self._light_time)
             at, velocity = state.position_velocity(place)
             found = sight(at, velocity, position, self._light_time, self.spin_rad_s)
@@ -228,7 +233,7 @@ class BearingFamily(SensorFamily):
     def _speed(self, error_m_s: float) -> tuple[float, float]:
         """Return the speed of propagation, m/s, and how exact light times are found, seconds."""
         speed = self.speed_m_s + error_m_s
-        return speed, _LIGHT_TIME_TOLERANCE_S if speed > _SLOW_M_S else _SLOW_TOLERANCE_S
+        return speed, light_time_tolerance_s(speed)
 
     def _locate(self, path: Path, time_s: NDArray[np.float64]) -> Place:
         # Places are most of the work where nothing moves them, so the last ones are kept.
@@ -386,7 +391,7 @@ class BearingFamily(SensorFamily):
             by = ByPosition(np.empty((count, 2 * order)), np.empty((count, 2, 3)))
         compiled.bearings(
             *(count, path.knots_s.size, order, size, constants.size),
-            *(walks.row.size, values.walks.shape[1], len(poses.position_m), _LIGHT_TIME_ROUNDS),
+            *(walks.row.size, values.walks.shape[1], len(poses.position_m), LIGHT_TIME_ROUNDS),
             *(int(self._clocked), int(self._fast), int(self._noise_elevation is not None)),
             *(self.speed_m_s, self.spin_rad_s),
             self._speed(faster)[1],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from geograph.families import SensorFamily
 from geograph.incremental.judge import innovations, suspects
 from geograph.incremental.remake import let_go, resolve, respan, restart
-from geograph.incremental.review import check, look_over, until_it_stands
+from geograph.incremental.review import check, look_over, renew_limits, until_it_stands
 from geograph.incremental.room import assign, emission_times, make_room
 from geograph.incremental.rows import FIXES, choose, count, join
 from geograph.incremental.state import State, count_rows, mark, recount, with_fixes
@@ -82,22 +81,22 @@ def advance(state: State, rows: Rows) -> None:
         restart(state, rows)
         state.rebuilt += 1
         return
-    every = np.sort(np.concatenate(list(times.values())))
+    every = sorted(time for own in times.values() for time in own.tolist())
     if state.reach_s is not None:
-        every = np.append(every, max(state.reach_s, float(every[-1])))
+        every.append(max(state.reach_s, every[-1]))
     before = len(chain.knots_s)
     if every[0] < chain.knots_s[0] and not chain.gone:
         chain.solve_all()
-        high = max(float(every[-1]), chain.knots_s[-1])
-        respan(state, rows, float(every[0]), high)
+        respan(state, rows, every[0], max(every[-1], chain.knots_s[-1]))
         recount(state)
         look_over(state)
         return
     touched = make_room(model, chain, every)
     for k, part in assign(chain, rows, times).items():
-        chain.pieces[k] = replace(chain.pieces[k], rows=join([chain.pieces[k].rows, part]))
+        held = chain.pieces[k]
+        chain.pieces[k] = held.holding(join([held.rows, part]) if held.rows else part)
         touched.add(k)
-    new = {int(i) for c in rows.values() for i in c["ident"]}
+    new = {i for c in rows.values() for i in c["ident"].tolist()}
     _use(state, touched, new)
     fresh = len(chain.knots_s) - before
     if fresh > _MANY_KNOTS and not chain.gone:
@@ -129,13 +128,13 @@ def _use(state: State, touched: set[int], new: set[int]) -> None:
     """Linearise, judge what is new, eliminate, and linearise again what moved too far."""
     model, chain = state.running
     assert state.limits is not None
-    measured = model.linearise(chain, sorted(touched))
+    measured = model.renew(chain, sorted(touched))
     doubtful: set[int] = set()
     if state.robust:
         doubtful = suspects(measured, new, state.total)
         if doubtful:
             touched = touched | mark(state, doubtful, kept=False, judged=False)
-            model.linearise(chain, sorted(touched))
+            model.renew(chain, sorted(touched))
     _solve_on(state)
     if model.loss.name != "none":
         _weigh_on(state, sorted(touched))
@@ -148,7 +147,7 @@ def _weigh_on(state: State, touched: list[int]) -> None:
     model, chain = state.running
 
     def weigh() -> None:
-        model.linearise(chain, touched)
+        model.renew(chain, touched)
         _solve_on(state)
 
     until_it_stands(chain, weigh, _WEIGHINGS)
@@ -165,7 +164,7 @@ def _solve_on(state: State) -> None:
         moved = state.limits.moved(chain, first)
         if not moved:
             return
-        model.linearise(chain, moved)
+        model.renew(chain, moved)
     chain.eliminate()
 
 
@@ -184,7 +183,7 @@ def _admit(state: State, doubtful: set[int]) -> None:
     good = {ident for ident, square in found.items() if square <= limit[ident]}
     if good:
         changed = mark(state, good, kept=True, judged=False)
-        model.linearise(chain, sorted(changed))
+        model.renew(chain, sorted(changed))
         _solve_on(state)
 
 
@@ -199,7 +198,9 @@ def keep_up(state: State) -> None:
     if far or knots - state.checked > max(4.0, _CHECK_PART * held):
         check(state)
     if knots - state.reviewed > max(_REVIEW_KNOTS, _GROWTH * held):
-        look_over(state)
+        look_over(state, limits_later=True)
+    elif state.limits_due:
+        renew_limits(state)
     if state.lag_s is not None:
         _let_go(state)
 
@@ -241,9 +242,11 @@ def _without_late(
 ) -> tuple[Rows, dict[str, NDArray[np.float64]]]:
     """Return what is not too old, and name the rest; raise where knots must be put before."""
     _, chain = state.running
+    if not chain.gone:
+        return rows, times
     first = chain.knots_s[0]
     early = {kind: time < first for kind, time in times.items()}
-    if not chain.gone or not any(mask.any() for mask in early.values()):
+    if not any(mask.any() for mask in early.values()):
         return rows, times
     state.newly_late = {k: c for k, c in choose(rows, early).items() if k != FIXES}
     state.late += count(state.newly_late)

@@ -13,6 +13,7 @@ where it is: only the pieces that moved are linearised again.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ from scipy.linalg import lapack
 
 from geograph.blocks import Sums
 from geograph.families import Values
+from geograph.kernels import compiled
 from geograph.sweep import NotPositiveDefiniteError, chain_marginals, substitute, sweep
 
 if TYPE_CHECKING:
@@ -55,6 +57,11 @@ class Piece:
     chains: NDArray[np.float64]
     constants: NDArray[np.float64]
 
+    def holding(self, rows: Rows) -> Piece:
+        """Return the piece with other rows, which have yet to be linearised."""
+        own = self.block, self.inverse, self.root, self.noise
+        return Piece(rows, *own, self.path, self.chains, self.constants)
+
 
 @dataclass(frozen=True, eq=False)
 class Final:
@@ -83,8 +90,17 @@ class Final:
 
     def covariance(self) -> NDArray[np.float64]:
         """Return the covariance, shape (d + s, d + s), scaled."""
+        return self._covariance
+
+    @cached_property
+    def _covariance(self) -> NDArray[np.float64]:
         if self.known is not None:
             return self.known
+        assert self.root is not None
+        if compiled is not None:
+            covariance = np.empty_like(self.root)
+            compiled.live_covariance(self.step.size, self.root, covariance)
+            return covariance
         inverse, _ = lapack.dtrtri(self.root, lower=1)
         return np.asarray(inverse.T @ inverse)
 
@@ -146,11 +162,11 @@ class Chain:
 
     def copy(self) -> Chain:
         """Return a chain whose lists may be changed without changing this one's."""
-        values = dict(vars(self))
-        for name, value in values.items():
-            if isinstance(value, list):
-                values[name] = value.copy()
-        return Chain(**values)
+        made = object.__new__(Chain)
+        held = vars(made)
+        for name, value in vars(self).items():
+            held[name] = value.copy() if type(value) is list else value
+        return made
 
     @property
     def knot_size(self) -> int:
@@ -204,7 +220,10 @@ class Chain:
         pieces = self.pieces[first:]
         del self.forward[first + 1 :], self.other[first + 1 :]
         del self.back[first:], self.spread[first:]
-        if pieces:
+        if compiled is not None:
+            for piece in pieces:
+                self._eliminate_one(piece)
+        elif pieces:
             found = sweep(
                 self.forward[first],
                 blocks=Sums.of(np.array([piece.block for piece in pieces]), 2 * self.knot_size),
@@ -227,8 +246,32 @@ class Chain:
         self.behind = len(self.pieces)
         return self._finish()
 
+    def _eliminate_one(self, piece: Piece) -> None:
+        """Eliminate one interval, in compiled code that needs no stack of them."""
+        before, known = self.forward[-1], self.other[-1]
+        d, c = self.knot_size, known.shape[0]
+        after, other = np.empty((d, d + c)), np.empty((c, c))
+        back, spread = np.empty((d, d + c)), np.empty((d, d))
+        if not compiled.live_eliminate(
+            *(d, c, before, known, piece.block, piece.inverse, piece.root, piece.noise),
+            *(after, other, back, spread),
+        ):
+            raise NotPositiveDefiniteError
+        self.forward.append(after)
+        self.other.append(other)
+        self.back.append(back)
+        self.spread.append(spread)
+
     def _finish(self) -> Final:
         d = self.knot_size
+        if compiled is not None:
+            c = self.other[-1].shape[0]
+            root, step = np.empty((d + c - 1, d + c - 1)), np.empty(d + c - 1)
+            if not compiled.live_finish(
+                d, c, self.forward[-1], self.other[-1], self.hold, root, step
+            ):
+                raise NotPositiveDefiniteError
+            return Final(root, step)
         knot, other = self.forward[-1], self.other[-1] + self.hold
         total = np.empty((d + other.shape[0], d + other.shape[0]))
         total[:d], total[d:, d:], total[d:, :d] = knot, other, knot[:, d:].T
@@ -251,12 +294,28 @@ class Chain:
         following = self.final.step[:d]
         increments = self.final.step[d:]
         self.constants = self.reference + increments
+        if compiled is not None:
+            self._place_newest(last, depth)
+            return
         self.place(last, following)
         known = np.append(increments, 1.0)
         for k in range(last - 1, max(last - depth, -1), -1):
             back = self.back[k]
             following = back[:, :d] @ following + back[:, d:] @ known
             self.place(k, following)
+
+    def _place_newest(self, last: int, depth: int) -> None:
+        """Bring the newest knots up to date, in compiled code."""
+        assert self.final is not None
+        d, m, following = self.knot_size, self.size, None
+        step, c = self.final.step, self.reference.size + 1
+        for k in range(last, max(last - max(depth, 1), -1), -1):
+            offset, path, chains = np.empty(d), np.empty(m), np.empty(d - m)
+            compiled.live_place(
+                *(d, c, m, None if k == last else self.back[k], step, following, self.scale),
+                *(self.reference_path[k], self.reference_chains[k], offset, path, chains),
+            )
+            self.path[k], self.chains[k], following = path, chains, offset
 
     def solve_all(self) -> None:
         """Bring all estimates up to date."""

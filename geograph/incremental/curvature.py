@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geograph.incremental.rows import FIXES, join, take
+from geograph.kernels import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,6 +36,9 @@ _LET_GO = 0.2
 
 # Rows that the curvature is taken from: the newest, where the object is.
 _ROWS = 32
+
+# As many pieces are asked one by one; more of them in one pass over stacks.
+_FEW = 16
 
 # A step is no smaller than what rounding leaves of a second difference.
 _LEAST_STEP = 1e-3
@@ -69,6 +73,8 @@ class Limits:
 
     def moved(self, chain: Chain, first: int) -> list[int]:
         """Return the pieces from ``first`` on whose estimate left their linearisation."""
+        if compiled is not None and len(chain.pieces) - first <= _FEW:
+            return [k for k in range(first, len(chain.pieces)) if self._left(chain, k)]
         pieces = chain.pieces[first:]
         scale = chain.scale[: chain.size]
         path = np.array(chain.path[first:])
@@ -87,6 +93,17 @@ class Limits:
             at = np.array([piece.constants for piece in pieces])
             far |= (np.abs(chain.constants - at) > self.constants).any(axis=1)
         return [first + int(k) for k in np.flatnonzero(far)]
+
+    def _left(self, chain: Chain, k: int) -> bool:
+        """Tell in compiled code whether the estimate left the linearisation of one piece."""
+        piece, path, chains = chain.pieces[k], chain.path, chain.chains
+        return bool(
+            compiled.live_moved(
+                *(self.path.size, chain.size, self.chains.size, self.constants.size, chain.scale),
+                *(self.path, self.chains, self.constants, path[k], path[k + 1], piece.path),
+                *(chains[k], chains[k + 1], piece.chains, chain.constants, piece.constants),
+            )
+        )
 
 
 def limits(model: Model, chain: Chain, total_rows: int) -> Limits:
@@ -108,8 +125,12 @@ def limits(model: Model, chain: Chain, total_rows: int) -> Limits:
     families = list(model.families(rows))
     allowed = TOLERANCE / np.sqrt(max(total_rows, 1))
 
+    # Else all that families hold fixed is when walks are read, which no such step moves.
+    noise_changes = model.between or model.noisy
+
     def residual(at: Values) -> NDArray[np.float64]:
-        found = model.evaluate_families(families, path, at, low, jacobian=False)
+        renew = noise_changes or at is values
+        found = model.evaluate_families(families, path, at, low, jacobian=False, refresh=renew)
         return np.concatenate([_weighted(model, part) for part in found] or [np.zeros(1)])
 
     here = residual(values)
@@ -168,4 +189,4 @@ def _newest(chain: Chain) -> tuple[Rows, int]:
         held.append(rows)
         size += sum(columns["ident"].size for columns in rows.values())
     rows = join(held or [{}])
-    return {kind: take(c, slice(None, 2 * _ROWS)) for kind, c in rows.items()}, max(k - 1, 0)  # type: ignore[arg-type]
+    return {kind: take(c, slice(None, 2 * _ROWS)) for kind, c in rows.items()}, max(k - 1, 0)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -52,6 +55,47 @@ class RowName:
         return f"{self.table}{of} at {self.time_s:.10g} s{where}"
 
 
+class SensorErrorsLater(Mapping[str, "dict[str, SensorEstimate]"]):
+    """Errors by sensor and state, worked out when they are first asked for.
+
+    Who follows the object from update to update reads them now and then: they would take as long
+    as a tenth of an update.
+
+    Parameters
+    ----------
+    work
+        Gives them.
+    """
+
+    def __init__(self, work: Callable[[], dict[str, dict[str, SensorEstimate]]]) -> None:
+        self._work: Callable[[], dict[str, dict[str, SensorEstimate]]] | None = work
+        self._found: dict[str, dict[str, SensorEstimate]] = {}
+
+    @property
+    def _all(self) -> dict[str, dict[str, SensorEstimate]]:
+        if self._work is not None:
+            self._found = self._work()
+            self._work = None
+        return self._found
+
+    def __getitem__(self, name: str) -> dict[str, SensorEstimate]:
+        return self._all[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all)
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def __repr__(self) -> str:
+        """Return them as a dictionary is printed."""
+        return repr(self._all)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as a dictionary."""
+        return dict, (self._all,)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimate:
     """The newest knot, the sensors' errors, and what became of the measurements.
@@ -91,7 +135,7 @@ class Estimate:
     time_s: float | None = None
     state: NDArray[np.float64] | None = None
     covariance: NDArray[np.float64] | None = None
-    sensor_errors: dict[str, dict[str, SensorEstimate]] = field(default_factory=dict)
+    sensor_errors: Mapping[str, dict[str, SensorEstimate]] = field(default_factory=dict)
     knots: int = 0
     used: int = 0
     waiting: tuple[RowName, ...] = ()

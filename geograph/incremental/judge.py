@@ -15,6 +15,7 @@ import numpy as np
 from geograph.blocks import dense_rows
 from geograph.common import settled
 from geograph.families import SensorFamily
+from geograph.incremental.intervals import Seen
 from geograph.incremental.rows import TABLES
 from geograph.losses import Loss
 from geograph.robust import plain_limits, thresholds
@@ -43,7 +44,7 @@ def squares(part: Measured) -> NDArray[np.float64]:
     return part.by_row(part.family.squares(found))
 
 
-def suspects(measured: Iterable[Measured], new: set[int], count: int) -> set[int]:
+def suspects(measured: Iterable[Measured | Seen], new: set[int], count: int) -> set[int]:
     """Return the numbers of new rows that the estimate does not predict.
 
     Parameters
@@ -57,11 +58,25 @@ def suspects(measured: Iterable[Measured], new: set[int], count: int) -> set[int
     """
     found: set[int] = set()
     for part in measured:
-        if isinstance(part.family, SensorFamily):
+        if isinstance(part, Seen):
+            square = np.einsum("ij,ij->i", part.residual, part.residual)
+            # Most fit, even if they had but one row: that limit is the lowest.
+            if not square.size or square.max() <= _least_limit(count):
+                continue
+            rows = np.where(np.isnan(part.columns["elevation_rad"]), 1, 2)
+            limit = plain_limits(count, rows)
+        elif isinstance(part.family, SensorFamily):
+            square = squares(part)
             limit = part.by_row(plain_limits(count, part.family.row_counts))
-            far = (squares(part) > limit) & part.columns["kept"]
-            found |= set(part.columns["ident"][far].tolist()) & new
+        else:
+            continue
+        far = (square > limit) & part.columns["kept"]
+        found |= set(part.columns["ident"][far].tolist()) & new
     return found
+
+
+def _least_limit(count: int) -> float:
+    return float(plain_limits(count, np.ones(1, dtype=np.int64))[0])
 
 
 def innovations(

@@ -12,8 +12,11 @@ from geograph.blocks import BlockSum, ColumnLayout, Sums
 from geograph.common import settled
 from geograph.families import CONSTRAINT_FAMILIES, FixFamily, SensorFamily
 from geograph.incremental.chain import Piece
+from geograph.incremental.intervals import WITHIN, Fixed, Seen, linearise_intervals
 from geograph.incremental.rows import FIXES, TABLES, join, table_of, take
+from geograph.kernels import flat
 from geograph.knots import add_path_noise
+from geograph.motion import inverse_stack
 from geograph.prepare import without_refraction
 from geograph.problem import chain_noise
 
@@ -138,12 +141,20 @@ class Model:
     @cached_property
     def refreshed(self) -> bool:
         """Whether families hold anything fixed that depends on the estimate."""
-        states = self.prepared.states
-        noisy = any(
+        return self.between or self.noisy or self.prepared.states.chains > 0
+
+    @cached_property
+    def noisy(self) -> bool:
+        """Whether positions of sensors are uncertain at every measurement anew."""
+        return any(
             sensor.errors.position_noise_m > 0.0 and sensor.platform_process_noise is None
             for sensor in self.prepared.sensors
         )
-        return self.between or noisy or states.chains > 0
+
+    @cached_property
+    def fixed(self) -> Fixed | None:
+        """The tables of compiled code, where bearings are the usual ones."""
+        return Fixed.of(self)
 
     @property
     def correlated(self) -> bool:
@@ -236,12 +247,16 @@ class Model:
         *,
         loss: Loss | None = None,
         jacobian: bool = True,
+        refresh: bool = True,
     ) -> list[Measured]:
-        """Evaluate families made before; see :meth:`evaluate`."""
+        """Evaluate families made before; see :meth:`evaluate`.
+
+        Without ``refresh``, what they hold fixed is that of the last evaluation.
+        """
         state = path.at_state(values.path, jacobian=jacobian)
         result = []
         for kind, columns, family in families:
-            if self.refreshed:
+            if self.refreshed and refresh:
                 self.refresh(family, path, values)
             order = getattr(family, "order", None)
             if order is None:
@@ -253,6 +268,15 @@ class Model:
             interval[order] = found.interval + first
             result.append(Measured(kind, columns, family, found, order, interval))
         return result
+
+    def renew(self, chain: Chain, touched: Sequence[int]) -> Sequence[Measured | Seen]:
+        """Do what :meth:`linearise` does, in the shortest way, for who needs no derivatives."""
+        order = sorted(touched)
+        if order:
+            seen = linearise_intervals(self, chain, order)
+            if seen is not None:
+                return seen
+        return self.linearise(chain, order)
 
     def linearise(self, chain: Chain, touched: Sequence[int]) -> list[Measured]:
         """Linearise pieces of a chain at its estimate, and put rows where their signals belong.
@@ -299,6 +323,17 @@ class Model:
             raise FloatingPointError("a prediction or a derivative is not finite")
         self._store(chain, order, blocks[[k - low for k in order]], measured)
         return measured
+
+    def within(self, chain: Chain, k: int) -> tuple[float, float]:
+        """Return between which times the emissions of an interval's rows may be."""
+        low, high = chain.knots_s[k], chain.knots_s[k + 1]
+        near, slack = WITHIN * self.spacing_s, _SLACK * self.spacing_s
+        if k == 0:
+            # What was emitted before the oldest knot of a lag stays with it.
+            low -= np.inf if chain.gone else slack
+        else:
+            low -= near
+        return low, high + (slack if k == len(chain.pieces) - 1 else near)
 
     def _check_span(self, chain: Chain, measured: list[Measured]) -> None:
         slack = _SLACK * self.spacing_s
@@ -387,10 +422,7 @@ class Model:
                 block[-1, :-1] -= moved
             chain.pieces[k] = Piece(
                 parts.get(k, {}),
-                block,
-                inverse[i],
-                root[i],
-                noise[i],
+                *(block, flat(inverse[i]), flat(root[i]), noise[i]),
                 np.array([chain.path[k], chain.path[k + 1]]),
                 np.array([chain.chains[k], chain.chains[k + 1]]),
                 chain.constants,
@@ -400,6 +432,17 @@ class Model:
     def changed_s(self) -> float:
         """When the process noise was changed last."""
         return self.earlier[-1][0] if self.earlier else -np.inf
+
+    def density(self, start_s: float) -> NDArray[np.float64]:
+        """Return the noise's density along the axes in an interval by its start, shape (3,)."""
+        for until, motion in self.earlier:
+            if start_s < until:
+                return np.array(motion.density.axes)
+        return self._density
+
+    @cached_property
+    def _density(self) -> NDArray[np.float64]:
+        return np.array(self.motion.density.axes)
 
     def _periods(self, starts_s: Sequence[float]) -> Iterator[tuple[int, int, Motion]]:
         """Yield ranges of intervals, by their starts, with the motion that holds in each."""
@@ -461,14 +504,16 @@ def _of_path(
     starts_s: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return inverse transitions, noise roots, and noises at a reference, of the path, scaled."""
-    found = motion.linear(reference if motion.constant else at, steps, scale, starts_s)
     if motion.constant:
+        found = motion.linear(reference, steps, scale, starts_s)
         return found.inverse, found.noise_root, found.residual
+    plain = motion.transitions(at, steps, starts_s)
+    matrix = plain.transition * scale / scale[:, None]
+    root = plain.noise_root / scale[:, None]
     behind = (reference - at) / scale
-    matrix = np.linalg.inv(found.inverse)
     gap = behind[1:] - np.matmul(matrix, behind[:-1, :, None])[:, :, 0]
-    noise = found.residual + np.linalg.solve(found.noise_root, gap[:, :, None])[:, :, 0]
-    return found.inverse, found.noise_root, noise
+    noise = plain.residual + np.linalg.solve(root, gap[:, :, None])[:, :, 0]
+    return inverse_stack(matrix), root, noise
 
 
 def _divided(measured: list[Measured], order: Sequence[int]) -> dict[int, Rows]:

@@ -93,7 +93,7 @@ def resolve(state: State) -> None:
     """Solve for all that is held once more, like a batch, from the estimate."""
     model, chain = state.running
     if chain.gone:
-        model.linearise(chain, range(len(chain.pieces)))
+        model.renew(chain, range(len(chain.pieces)))
         chain.eliminate()
         check(state)
         return
@@ -202,7 +202,7 @@ def change_noise(state: State, settings: SmoothSettings) -> None:
         earlier = ()
     state.model = replace(model, motion=motion, spacing_s=spacing, earlier=earlier)
     if not earlier:
-        state.model.linearise(chain, range(len(chain.pieces)))
+        state.model.renew(chain, range(len(chain.pieces)))
         chain.eliminate()
 
 

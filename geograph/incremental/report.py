@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geograph.eliminate import Factorisation
+from geograph.incremental.estimate import SensorErrorsLater
 from geograph.incremental.rows import FIXES, TABLES, numbered_table
 from geograph.incremental.start import problem_of, recording_of
 from geograph.measurements import Bearings
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from geograph.eliminate import LinearSystem
-    from geograph.incremental.chain import Chain
+    from geograph.incremental.chain import Chain, Final
     from geograph.incremental.model import Model
     from geograph.incremental.rows import Rows
     from geograph.incremental.state import State
@@ -33,35 +35,54 @@ if TYPE_CHECKING:
     from geograph.track import Track
 
 
-def newest(
-    state: State, covariance: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], dict[str, dict[str, SensorEstimate]]]:
-    """Return the covariance of the newest knot's path, SI, and the sensors' errors.
+def newest_covariance(state: State) -> NDArray[np.float64]:
+    """Return the covariance of the newest knot's path, shape (3 order, 3 order), SI.
 
     Parameters
     ----------
     state
         After its start.
-    covariance
-        Shape (d + s, d + s): of the newest knot and the constants, scaled.
     """
     model, chain = state.running
-    states, names = model.prepared.states, state.template.sensor_names
-    m, d = chain.size, chain.knot_size
-    scale = model.path_scale
-    path = covariance[:m, :m] * scale[:, None] * scale
-    known = 3 * model.motion.order
-    variance = np.diagonal(covariance)
-    constant = variance[d:]
+    assert chain.final is not None
+    m, scale = 3 * model.motion.order, model.path_scale
+    path = chain.final.covariance()[:m, :m] * np.outer(scale[:m], scale[:m])
     if model.shift is not None:
-        rate = (
-            model.shift.sigma_s
-            * rates(model.motion, chain.path[-1][None], np.array(chain.knots_s[-1:]))[0]
-        )
+        at = chain.path[-1][None], np.array(chain.knots_s[-1:])
+        rate = model.shift.sigma_s * rates(model.motion, *at)[0, :m]
         path = path + np.outer(rate, rate)
+    return np.asarray(path)
+
+
+def newest_errors(state: State) -> SensorErrorsLater:
+    """Return the sensors' errors, worked out when they are asked for.
+
+    Parameters
+    ----------
+    state
+        After its start; nothing of its chain is held but the newest estimates.
+    """
+    model, chain = state.running
+    assert chain.final is not None
+    at = chain.path[-1], chain.chains[-1], chain.constants
+    return SensorErrorsLater(partial(_errors, model, state.template.sensor_names, chain.final, at))
+
+
+def _errors(
+    model: Model,
+    names: tuple[str, ...],
+    final: Final,
+    at: tuple[NDArray[np.float64], ...],
+) -> dict[str, dict[str, SensorEstimate]]:
+    path, chains, constants = at
+    states, m = model.prepared.states, path.size
+    covariance = final.covariance()
+    variance = np.diagonal(covariance)
+    constant = variance[m + chains.size :]
+    if model.shift is not None:
         constant = constant + (model.shift.sigma_s * model.shift.by_shift) ** 2
-    sigma, estimates = np.sqrt(constant).tolist(), chain.constants.tolist()
-    errors = force_estimates(model.motion, chain.path[-1], covariance, scale)
+    sigma, estimates = np.sqrt(constant).tolist(), constants.tolist()
+    errors = force_estimates(model.motion, path, covariance, model.path_scale)
     for column, entry in enumerate(states.constants):
         if entry.sensor in model.active or entry.sensor == NO_SENSOR:
             name = RECORDING_NAME if entry.sensor == NO_SENSOR else names[entry.sensor]
@@ -74,11 +95,11 @@ def newest(
             size = float(model.prepared.walk_scale[column])
             errors.setdefault(names[walk.sensor], {})[walk.name] = SensorEstimate(
                 walk.unit,
-                float(chain.chains[-1][column]) * size,
+                float(chains[column]) * size,
                 float(np.sqrt(variance[m + column])) * size,
                 size,
             )
-    return path[:known, :known], errors
+    return errors
 
 
 class HeldFactorisation(Factorisation):

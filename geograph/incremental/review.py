@@ -30,13 +30,21 @@ def check(state: State) -> None:
         moved = state.limits.moved(chain, 0)
         if not moved:
             break
-        model.linearise(chain, moved)
+        model.renew(chain, moved)
         chain.eliminate()
     state.checked = len(chain.knots_s) + chain.gone
 
 
-def look_over(state: State) -> None:
-    """Weigh again what depends on how much there is, choose outliers, and renew the limits."""
+def look_over(state: State, *, limits_later: bool = False) -> None:
+    """Weigh again what depends on how much there is, choose outliers, and renew the limits.
+
+    Parameters
+    ----------
+    state
+        Changed in place.
+    limits_later
+        Whether the limits are left to the next update, so that none takes too long.
+    """
     model, chain = state.running
     if state.limits is None:
         state.limits = limits(model, chain, state.total_rows)
@@ -49,7 +57,16 @@ def look_over(state: State) -> None:
         _choose(state)
     knots = len(chain.knots_s) + chain.gone
     state.reviewed = knots
-    state.limits = limits(state.running[0], chain, state.total_rows)
+    state.limits_due = limits_later
+    if not limits_later:
+        renew_limits(state)
+
+
+def renew_limits(state: State) -> None:
+    """Set how far estimates may move by the newest measurements."""
+    model, chain = state.running
+    state.limits = limits(model, chain, state.total_rows)
+    state.limits_due = False
 
 
 def _settle(state: State) -> None:
@@ -57,7 +74,7 @@ def _settle(state: State) -> None:
     model, chain = state.running
 
     def weigh() -> None:
-        model.linearise(chain, range(len(chain.pieces)))
+        model.renew(chain, range(len(chain.pieces)))
         chain.eliminate()
         chain.solve_all()
 
@@ -94,7 +111,7 @@ def _weights_changed(state: State) -> bool:
 def _weigh_again(state: State) -> None:
     model, chain = state.running
     state.model = model.reaching(chain)
-    state.model.linearise(chain, range(len(chain.pieces)))
+    state.model.renew(chain, range(len(chain.pieces)))
     chain.eliminate()
 
 
@@ -115,7 +132,7 @@ def _choose(state: State) -> None:
         changed = mark(state, admit, kept=True, judged=False) if admit else set()
         if reject:
             changed |= mark(state, reject, kept=False, judged=True)
-        model.linearise(chain, sorted(changed))
+        model.renew(chain, sorted(changed))
         chain.eliminate()
         check(state)
 
@@ -124,4 +141,5 @@ def everything(state: State) -> list[Measured]:
     """Return all that is held, evaluated at the estimate."""
     model, chain = state.running
     path = model.motion.path(np.array(chain.knots_s))
-    return model.evaluate(state.rows(), path, chain.values(0, len(chain.knots_s) - 1), 0)
+    families, values = model.families(state.rows()), chain.values(0, len(chain.knots_s) - 1)
+    return model.evaluate_families(families, path, values, 0, jacobian=False)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geograph.incremental.rows import CONSTRAINTS, FIXES, choose, join, time_column
+from geograph.factors.kinematics import transition
+from geograph.incremental.rows import CONSTRAINTS, FIXES, choose, join, take, time_column
 from geograph.incremental.start import empty_piece
 from geograph.states import CLOCK
 
@@ -20,6 +23,9 @@ if TYPE_CHECKING:
 # Below this speed of a signal the object's way during its travel counts.
 _SLOW_M_S = 1e5
 _ROUNDS = 3
+
+# What was received so many spacings before the newest knot is looked for along the path.
+_OLD = 8.0
 
 # Share of the spacing within which times need no knots of their own, as in a batch.
 _CLOSE = 0.1
@@ -36,6 +42,12 @@ def emission_times(model: Model, chain: Chain, kind: str, columns: Columns) -> N
     if kind in CONSTRAINTS or kind == FIXES:
         return tag
     prepared = model.prepared
+    speed = prepared.recording.propagation_speed_m_s
+    old_s = chain.knots_s[-1] - _OLD * model.spacing_s
+    if kind == "bearings" and model.fixed is not None and speed >= _SLOW_M_S:
+        emitted = model.fixed.departures(chain, columns, speed)
+        if emitted.min() >= old_s:
+            return emitted
     states = prepared.states
     heard = columns.get("reference", columns["sensor"])
     received = tag
@@ -49,7 +61,6 @@ def emission_times(model: Model, chain: Chain, kind: str, columns: Columns) -> N
         value = np.append(chain.chains[-1][: len(states.walks)] * prepared.walk_scale[
             : len(states.walks)], 0.0)  # fmt: skip
         received = received - value[walk]
-    speed = prepared.recording.propagation_speed_m_s
     if not np.isfinite(speed):
         return received
     place = prepared.geometry.motion(heard, received).position_m
@@ -58,7 +69,7 @@ def emission_times(model: Model, chain: Chain, kind: str, columns: Columns) -> N
     if last.size > 3:
         at = at + (received - chain.knots_s[-1])[:, None] * last[3:6]
     emitted = received - np.linalg.norm(at - place, axis=1) / speed
-    if speed < _SLOW_M_S or received.min() < chain.knots_s[-1] - 8.0 * model.spacing_s:
+    if speed < _SLOW_M_S or received.min() < old_s:
         path, values = model.motion.path(np.array(chain.knots_s)), np.array(chain.path)
         for _ in range(_ROUNDS):
             at = model.motion.read(path, values, emitted)[:, :3]
@@ -67,7 +78,7 @@ def emission_times(model: Model, chain: Chain, kind: str, columns: Columns) -> N
     return np.asarray(emitted)
 
 
-def make_room(model: Model, chain: Chain, times_s: NDArray[np.float64]) -> set[int]:
+def make_room(model: Model, chain: Chain, times_s: list[float]) -> set[int]:
     """Put knots where signals were emitted and there are none; return the pieces that changed.
 
     The last knot is moved to the newest emission until its interval has the spacing; then it stays
@@ -79,13 +90,13 @@ def make_room(model: Model, chain: Chain, times_s: NDArray[np.float64]) -> set[i
     model, chain
         The chain is changed in place.
     times_s
-        Shape (n,), growing: times of emission.
+        Times of emission, growing.
     """
     spacing = model.spacing_s
     changed: set[float] = set()
     last = chain.knots_s[-1]
-    for time in times_s[times_s < last].tolist():
-        k = int(np.searchsorted(chain.knots_s, time, side="right")) - 1
+    for time in times_s[: bisect_left(times_s, last)]:
+        k = bisect_right(chain.knots_s, time) - 1
         if k < 0:
             continue
         before, after = chain.knots_s[k], chain.knots_s[k + 1]
@@ -93,30 +104,38 @@ def make_room(model: Model, chain: Chain, times_s: NDArray[np.float64]) -> set[i
         if after - before > spacing * (1.0 + 1e-9) and near > _CLOSE * spacing:
             _divide(model, chain, k, time)
             changed |= {before, time}
-    beyond = times_s[times_s > last]
-    if beyond.size:
+    beyond = times_s[bisect_right(times_s, last) :]
+    if beyond:
         changed |= _extend(model, chain, beyond, spacing)
-    return {int(np.searchsorted(chain.knots_s, time)) for time in changed}
+    return {bisect_left(chain.knots_s, time) for time in changed}
 
 
-def _extend(model: Model, chain: Chain, times: NDArray[np.float64], spacing: float) -> set[float]:
+def _extend(model: Model, chain: Chain, times: list[float], spacing: float) -> set[float]:
     """Move the last knot and append others, until the last time is reached."""
     changed: set[float] = set()
     closed = _full(model, chain) or chain.knots_s[-1] <= model.changed_s
-    if times[0] - chain.knots_s[-2] <= spacing and not closed:
-        within = times[times - chain.knots_s[-2] <= spacing]
-        _move_last(model, chain, float(within[-1]))
-        changed.add(chain.knots_s[-2])
-        times = times[within.size :]
+    first = 0
+    if not closed:
+        first = _within(times, chain.knots_s[-2], spacing, 0)
+        if first:
+            _move_last(model, chain, times[first - 1])
+            changed.add(chain.knots_s[-2])
     longest = model.motion.longest_step_s
-    while times.size:
+    while first < len(times):
         base = chain.knots_s[-1]
-        within = times[times - base <= spacing]
-        time = float(within[-1]) if within.size else min(float(times[0]), base + longest)
+        end = _within(times, base, spacing, first)
+        time = times[end - 1] if end > first else min(times[first], base + longest)
         _append(model, chain, time)
         changed.add(base)
-        times = times[times > time]
+        first = bisect_right(times, time)
     return changed
+
+
+def _within(times: list[float], base: float, spacing: float, first: int) -> int:
+    """Return the end of those from ``first`` on that lie within the spacing of a knot."""
+    while first < len(times) and times[first] - base <= spacing:
+        first += 1
+    return first
 
 
 def _full(model: Model, chain: Chain) -> bool:
@@ -132,8 +151,12 @@ def _predicted(
     model: Model, chain: Chain, time_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the estimate of the newest knot carried on to a later time."""
-    step = np.array([time_s - chain.knots_s[-1]])
-    path = model.motion.carried(chain.path[-1][None], step, np.array(chain.knots_s[-1:]))[0]
+    step, motion = time_s - chain.knots_s[-1], model.motion
+    if motion.ballistic:
+        since = np.array(chain.knots_s[-1:])
+        path = motion.carried(chain.path[-1][None], np.array([step]), since)[0]
+    else:
+        path = (transition(motion.order, step) @ chain.path[-1].reshape(-1, 3)).ravel()
     states = model.prepared.states
     if not states.platforms:
         return path, chain.chains[-1]
@@ -194,8 +217,17 @@ def assign(chain: Chain, rows: Rows, times: dict[str, NDArray[np.float64]]) -> d
     result: dict[int, Rows] = {}
     last = len(chain.pieces) - 1
     for kind, columns in rows.items():
-        at = np.searchsorted(chain.knots_s, times[kind], side="right") - 1
-        at = np.clip(at, 0, last)
+        found = [bisect_right(chain.knots_s, time) - 1 for time in times[kind].tolist()]
+        held = [min(max(k, 0), last) for k in found]
+        if kind != "arrivals" and all(a <= b for a, b in pairwise(held)):
+            # In the order of time, as they mostly come: parts are slices.
+            ends = [i for i in range(1, len(held)) if held[i] != held[i - 1]]
+            for first, end in pairwise([0, *ends, len(held)]):
+                part = {kind: take(columns, slice(first, end)) if ends else columns}
+                before = result.get(held[first])
+                result[held[first]] = part if before is None else join([before, part])
+            continue
+        at = np.array(held)
         if kind == "arrivals":
             _with_siblings(chain, columns, at)
         for k in np.unique(at).tolist():

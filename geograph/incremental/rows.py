@@ -8,11 +8,13 @@ asked about one that does not count) and ``delay_s`` (about how long its signal 
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from math import isnan
 from typing import TYPE_CHECKING, Any, Final, get_args
 
 import numpy as np
 
 from geograph.errors import UpdateError
+from geograph.kernels import compiled
 from geograph.measurements import (
     Arrivals,
     Bearings,
@@ -48,6 +50,11 @@ _FIELDS = {
     name: tuple(entry.name for entry in fields(table) if entry.name != "emission_names")
     for name, table in TABLES.items()
 }
+_INTEGERS: Final = {"line", "sensor", "reference", "emission"}
+_BEARING: Final = (
+    *("time_s", "sensor", "azimuth_rad", "elevation_rad"),
+    *("sigma_azimuth_rad", "sigma_elevation_rad"),
+)
 # Columns in which a value that is not a number means something.
 _MAY_BE_MISSING: Final = ("elevation_rad", "sigma_elevation_rad")
 _IDENTITY: Final = {"line", *_OWN}
@@ -101,8 +108,8 @@ def count(rows: Rows) -> int:
     return sum(columns["ident"].size for columns in rows.values())
 
 
-def take(columns: Columns, chosen: NDArray[Any]) -> Columns:
-    """Return some rows, by a mask or by indices."""
+def take(columns: Columns, chosen: NDArray[Any] | slice) -> Columns:
+    """Return some rows, by a mask, by indices, or from one to another."""
     return {name: column[chosen] for name, column in columns.items()}
 
 
@@ -145,6 +152,10 @@ def numbered_table(kind: str, columns: Columns) -> Measurements:
 def keys(kind: str, columns: Columns) -> list[tuple[Any, ...]]:
     """Return what tells rows apart: everything that was measured, but not the line."""
     parts = [column.tolist() for name, column in columns.items() if name not in _IDENTITY]
+    for place, name in enumerate(name for name in columns if name not in _IDENTITY):
+        if name in _MAY_BE_MISSING and np.isnan(columns[name]).any():
+            # What is not a number is not equal to itself.
+            parts[place] = [None if isnan(value) else value for value in parts[place]]
     return [(kind, *values) for values in zip(*parts, strict=True)]
 
 
@@ -214,11 +225,20 @@ def numbered(columns: Columns, first: int) -> Columns:
 
 def _table(table: Measurements, emissions: Emissions) -> Rows:
     kind = _NAMES[type(table)]
-    columns = {name: np.asarray(getattr(table, name)) for name in _FIELDS[kind]}
+    # Copies: what is held stays as it is, whatever becomes of the table.
+    columns = {name: _column(name, getattr(table, name)) for name in _FIELDS[kind]}
     if isinstance(table, Arrivals) and table.emission_names:
         names = [table.emission_names[index] for index in table.emission.tolist()]
         columns["emission"] = np.array([emissions.number(name) for name in names], dtype=np.int64)
     return {kind: columns}
+
+
+def _column(name: str, given: Any) -> NDArray[Any]:
+    """Return a copy of a column, of the type that compiled code takes if it holds such numbers."""
+    column = np.array(given, order="C")
+    if name in _INTEGERS:
+        return column.astype(np.int64, copy=False) if column.dtype.kind in "iu" else column
+    return column.astype(np.float64, copy=False) if column.dtype.kind in "iuf" else column
 
 
 def _constraints(table: Constraints) -> Rows:
@@ -235,6 +255,11 @@ def _constraints(table: Constraints) -> Rows:
 
 def _check(kind: str, columns: Columns, sensors: int) -> None:
     """Refuse what no update could use."""
+    if kind == "bearings" and compiled is not None:
+        named = [columns[name] for name in _BEARING]
+        plain = all(c.dtype == (np.int64 if c is named[1] else np.float64) for c in named)
+        if plain and compiled.sound_bearings(named[0].size, sensors, *named):
+            return
     for name, column in columns.items():
         if name in ("line", "isotropic", "emission"):
             continue

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -19,7 +20,7 @@ from geograph.incremental.advance import advance
 from geograph.incremental.estimate import Estimate, Tracking
 from geograph.incremental.model import SpanError
 from geograph.incremental.remake import change_noise, collect, finished, renew, restart
-from geograph.incremental.report import held_track, newest
+from geograph.incremental.report import held_track, newest_covariance, newest_errors
 from geograph.incremental.review import check, look_over
 from geograph.incremental.rows import Emissions, count, join, keys, read
 from geograph.incremental.start import NotStartedError
@@ -213,7 +214,7 @@ class IncrementalSmoother:
         self, measurements: Measurements | Constraints | Iterable[Measurements | Constraints]
     ) -> Estimate:
         self._emissions.begin()
-        state = self._state.afresh()
+        state = self._state.afresh(share=True)
         rows = read(
             measurements,
             sensors=len(state.template.sensors),
@@ -221,10 +222,9 @@ class IncrementalSmoother:
             emissions=self._emissions,
         )
         following = self._next + count(rows)
-        rows, again = without_duplicates(self._known, rows)
+        rows, again, added = without_duplicates(self._known, rows)
         state.newly_duplicate = again
         state.duplicates += count(again)
-        new = rows
         rows = self._whole(state, rows)
         state.total += count({k: c for k, c in rows.items() if "sensor" in c})
         if state.chain is None:
@@ -232,7 +232,7 @@ class IncrementalSmoother:
         elif rows:
             state = self._advance(state, rows)
         estimate = self._told(state)
-        self._commit(state, estimate, new, following)
+        self._commit(state, estimate, added, following)
         return estimate
 
     def _whole(self, state: State, rows: Rows) -> Rows:
@@ -240,12 +240,16 @@ class IncrementalSmoother:
         from geograph.incremental.rows import CONSTRAINTS, choose
 
         part = {k: c for k, c in rows.items() if k in CONSTRAINTS}
+        if not part:
+            return rows
         chosen = {k: np.isnan(c["time_s"]) for k, c in part.items()}
         if not any(mask.any() for mask in chosen.values()):
             return rows
         state.whole = join([state.whole, choose(part, chosen)])
         if state.model is not None:
             state.model = replace(state.model, whole=state.whole, whole_s=0.0)
+            _, chain = state.running
+            state.chain = chain.copy()
             look_over(state)
         left = choose(part, {k: ~mask for k, mask in chosen.items()})
         return {k: c for k, c in rows.items() if k not in CONSTRAINTS} | left
@@ -290,11 +294,10 @@ class IncrementalSmoother:
         self,
         state: State,
         estimate: Estimate,
-        new: Rows,
+        added: Iterable[Any],
         following: int,
     ) -> None:
         """Take over what an update made; nothing in here can fail."""
-        added = [key for kind, columns in new.items() for key in keys(kind, columns)]
         gone = [k for rows in state.dropped for kind, c in rows.items() for k in keys(kind, c)]
         silent = [r["arrivals"]["emission"].tolist() for r in state.dropped if "arrivals" in r]
         state.dropped = []
@@ -329,17 +332,16 @@ class IncrementalSmoother:
         if state.chain is None:
             return Estimate(status=Tracking.COLLECTING, message=state.message, **common)
         _, chain = state.running
-        assert chain.final is not None
-        path, errors = newest(state, chain.final.covariance())
-        if not (np.isfinite(path).all() and np.isfinite(chain.path[-1]).all()):
+        covariance, newest = newest_covariance(state), chain.path[-1]
+        if not isfinite(float(covariance.sum()) + float(newest.sum())):
             raise FloatingPointError("the estimate is not finite")
         return Estimate(
             status=Tracking.TRACKING,
             message=_message(len(waiting)),
             time_s=chain.knots_s[-1],
-            state=chain.path[-1][: len(path)],
-            covariance=path,
-            sensor_errors=errors,
+            state=newest[: len(covariance)],
+            covariance=covariance,
+            sensor_errors=newest_errors(state),
             knots=len(chain.knots_s),
             used=state.total - state.late - state.rejected_before - len(state.out),
             **common,
@@ -388,7 +390,7 @@ class IncrementalSmoother:
                 estimate = self._told(state)
             except ArithmeticError as error:
                 raise UpdateError(f"the process noise could not be changed ({error})") from error
-        self._commit(state, estimate, {}, self._next)
+        self._commit(state, estimate, (), self._next)
 
     def track(self) -> Track:
         """Return all knots that are held, with their covariances.
@@ -419,7 +421,7 @@ class IncrementalSmoother:
                 state = self._state.afresh()
                 finished(state)
                 estimate = self._told(state)
-                self._commit(state, estimate, {}, self._next)
+                self._commit(state, estimate, (), self._next)
                 return estimate
         except GeographError:
             raise

@@ -225,19 +225,20 @@ def make_model(
 def with_rows(model: Model, rows: Rows) -> Model:
     """Return a model with rows counted, and the clocks' common time of all that measured."""
     prepared, size = model.prepared, len(model.prepared.sensors)
-    counts, active = dict(model.counts), set(model.active)
+    counts, seen = dict(model.counts), set()
     timed = model.timed
     for kind, columns in rows.items():
         if kind in TABLES:
             if model.correlated:
                 added = np.bincount(columns["sensor"], minlength=size)
                 counts[kind] = counts[kind] + added if kind in counts else added
-            active.update(columns["sensor"].tolist())
+            seen.update(columns["sensor"].tolist())
             if "reference" in columns:
-                active.update(columns["reference"].tolist())
+                seen.update(columns["reference"].tolist())
         elif kind in CONSTRAINTS:
             timed = timed or bool(np.isfinite(columns["time_s"]).any())
-    if active == model.active and timed == model.timed:
+    active = model.active | seen
+    if len(active) == len(model.active) and timed == model.timed:
         # The same model, with what it has worked out already, unless it counts.
         return replace(model, counts=counts) if model.correlated else model
     shift = None

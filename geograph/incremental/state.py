@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +16,7 @@ from geograph.incremental.start import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Container
+    from collections.abc import Set
 
     from geograph.incremental.chain import Chain
     from geograph.incremental.curvature import Limits
@@ -42,8 +41,8 @@ class State:
         What holds along the whole path.
     model, chain
         From the start on.
-    limits
-        When to linearise again.
+    limits, limits_due
+        When to linearise again, and whether that is to be found anew.
     attempts, resolution
         Of the last start.
     out, names
@@ -73,6 +72,7 @@ class State:
     started_with: int = 0
     checked: int = 0
     reviewed: int = 0
+    limits_due: bool = False
     rebuilt: int = 0
     reach_s: float | None = None
     duplicates: int = 0
@@ -83,17 +83,25 @@ class State:
     names: dict[int, RowName] = field(default_factory=dict)
     dropped: list[Rows] = field(default_factory=list)
 
-    def copy(self) -> State:
-        """Return a state that may be changed without changing this one."""
-        made = copy(self)
-        made.chain = None if self.chain is None else self.chain.copy()
+    def copy(self, *, share: bool = False) -> State:
+        """Return a state that may be changed without changing this one.
+
+        Parameters
+        ----------
+        share
+            Whether its chain is this one's, not to be changed.
+        """
+        made = object.__new__(State)
+        vars(made).update(vars(self))
+        if self.chain is not None and not share:
+            made.chain = self.chain.copy()
         made.out, made.names = dict(self.out), dict(self.names)
         made.dropped = list(self.dropped)
         return made
 
-    def afresh(self) -> State:
-        """Return a copy for a new update."""
-        made = self.copy()
+    def afresh(self, *, share: bool = False) -> State:
+        """Return a copy for a new update; see :meth:`copy`."""
+        made = self.copy(share=share)
         made.reach_s, made.dropped = None, []
         made.newly_duplicate, made.newly_late = {}, {}
         return made
@@ -212,9 +220,14 @@ def with_fixes(state: State, rows: Rows) -> Rows:
     return join([rows, choose(every, {FIXES: mask})]) if mask.any() else rows
 
 
-def without_duplicates(known: Container[Any], rows: Rows) -> tuple[Rows, Rows]:
-    """Return rows that are new, and those that came before or twice."""
-    own: set[Any] = set()
+def without_duplicates(known: Set[Any], rows: Rows) -> tuple[Rows, Rows, Set[Any]]:
+    """Return rows that are new, those that came before or twice, and the keys of the new ones."""
+    every = [key for kind, columns in rows.items() for key in keys(kind, columns)]
+    own: set[Any] = set(every)
+    added = own - known
+    if len(added) == len(every):
+        return rows, {}, added
+    own = set()
     new = {}
     for kind, columns in rows.items():
         mask = np.ones(columns["ident"].size, dtype=bool)
@@ -222,6 +235,4 @@ def without_duplicates(known: Container[Any], rows: Rows) -> tuple[Rows, Rows]:
             mask[index] = key not in own and key not in known
             own.add(key)
         new[kind] = mask
-    if all(mask.all() for mask in new.values()):
-        return rows, {}
-    return choose(rows, new), choose(rows, {kind: ~mask for kind, mask in new.items()})
+    return choose(rows, new), choose(rows, {kind: ~mask for kind, mask in new.items()}), added
