@@ -101,13 +101,13 @@ class Ray:
         """Return c + u.V, shape (n,)."""
         return self.speed_m_s + _dot(self.unit, self.inertial_velocity_m_s)
 
-    def take(self, index: NDArray[np.int64]) -> Ray:
+    def take(self, index: NDArray[np.int64] | slice) -> Ray:
         """Return some of the rays, in a given order, repeated if so asked.
 
         Parameters
         ----------
         index
-            Shape (k,), integer.
+            Shape (k,), integer; or a range of them.
         """
 
         def picked(holder: object) -> dict[str, Any]:
@@ -186,7 +186,10 @@ def trace(
     light_time_s
         Shape (n,): where to start from; None: from zero.
     """
-    tau = np.zeros(position_m.shape[0]) if light_time_s is None else light_time_s
+    tau = np.zeros(position_m.shape[0])
+    if light_time_s is not None:
+        # What a path that ran off left behind is no start.
+        tau = np.where(np.isfinite(light_time_s), light_time_s, 0.0)
     for _ in range(_ROUNDS):
         sensor = sensor_at(tau)
         turned = turn_to_reception(position_m, tau, spin_rad_s)
@@ -326,6 +329,8 @@ def _dot(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.flo
 
 def _cross_z(spin_rad_s: float, vector: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (0, 0, spin) x vector, shape (n, 3)."""
-    if spin_rad_s == 0.0:
-        return np.zeros_like(vector)
-    return spin_rad_s * np.stack([-vector[:, 1], vector[:, 0], np.zeros(vector.shape[0])], axis=1)
+    product = np.zeros_like(vector)
+    if spin_rad_s != 0.0:
+        product[:, 0] = -spin_rad_s * vector[:, 1]
+        product[:, 1] = spin_rad_s * vector[:, 0]
+    return product

@@ -29,7 +29,7 @@ def altitude(
         ``"ecef"`` or ``"local"``.
     """
     if frame == "local":
-        return position_m[:, 2], np.broadcast_to([0.0, 0.0, 1.0], position_m.shape)
+        return coordinate(position_m, 2)
     return geodetic_from_ecef(position_m)[:, 2], enu_axes(position_m)[:, 2]
 
 
@@ -45,7 +45,9 @@ def coordinate(
     axis
         Which: x, y or z of the frame.
     """
-    return position_m[:, axis], np.broadcast_to(np.eye(3)[axis], position_m.shape)
+    gradient = np.zeros_like(position_m)
+    gradient[:, axis] = 1.0
+    return position_m[:, axis], gradient
 
 
 def speed(

@@ -35,8 +35,11 @@ def turn_to_reception(
         return vector
     angle = spin_rad_s * light_time_s
     sine, cosine = np.sin(angle), np.cos(angle)
-    x, y, z = vector[:, 0], vector[:, 1], vector[:, 2]
-    return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)
+    x, y = vector[:, 0], vector[:, 1]
+    turned = np.array(vector, dtype=np.float64)
+    turned[:, 0] = cosine * x + sine * y
+    turned[:, 1] = cosine * y - sine * x
+    return turned
 
 
 @dataclass(frozen=True, eq=False)

@@ -214,8 +214,13 @@ class BlockSum:
         root_weight
             Shape (n,): square roots of the loss's weights, or None for ones.
         """
-        if compiled is not None and found.common is None:
-            self._add_compiled(total, found, root_weight)
+        if compiled is not None:
+            by = found.by_path
+            alike = isinstance(by, ByPosition) and by.start is not None
+            if found.common is None and not (alike and not found.walk_row.size):
+                self._add_compiled(total, found, root_weight)
+            else:
+                self._add_groups(total, found, root_weight)
             return
         self._plan(found)
         rows, width = found.residual.shape[1], self.layout.width
@@ -234,8 +239,8 @@ class BlockSum:
         """Do what :meth:`add` does, in compiled code, without laying out the rows."""
         layout, by = self.layout, found.by_path
         count, rows = found.residual.shape
-        order, by_path, weights = 0, by, None
-        if isinstance(by, ByPosition):
+        order, by_path, weights = 0, found.by_knots, None
+        if isinstance(by, ByPosition) and by.rates is None:
             order, by_path, weights = by.weights.shape[1] // 2, by.by_position, by.weights
         compiled.add_blocks(
             *(total.knots.shape[0], total.others.shape[0]),
@@ -256,6 +261,46 @@ class BlockSum:
             flat(found.walk_after),
             flat(found.by_walks),
             flat(root_weight),
+        )
+
+    def _add_groups(
+        self, total: Sums, found: Evaluation, root_weight: NDArray[np.float64] | None
+    ) -> None:
+        """Do the same where measurements come in groups: of one emission, or with an unknown."""
+        layout, by, common = self.layout, found.by_path, found.common
+        start = held = None
+        if common is not None:
+            start, held = common.start, flat(common.by_common)
+        order = 0
+        factors: tuple[NDArray[np.float64] | None, ...]
+        if isinstance(by, ByPosition) and by.start is not None and not found.walk_row.size:
+            order, start = by.weights.shape[1] // 2, by.start
+            factors = (by.by_position, by.weights, by.by_velocity, by.rates)
+        else:
+            factors = (found.by_knots, None, None, None)
+        assert start is not None
+        compiled.add_shared(
+            *(total.knots.shape[0], total.others.shape[0]),
+            *(layout.path, layout.walks, layout.constants, int(layout.chained)),
+            *(found.residual.shape[0], order, start.size),
+            *(found.constant_row.size, found.walk_row.size),
+            *(total.knots, total.others),
+            flat(found.residual),
+            indices(found.interval),
+            *map(flat, factors),
+            self._knots_scale[0],
+            indices(found.constant_row),
+            indices(found.constant_column),
+            flat(found.by_constants),
+            indices(found.walk_row),
+            indices(found.walk_column),
+            flat(found.walk_before),
+            flat(found.walk_after),
+            flat(found.by_walks),
+            flat(root_weight),
+            indices(start),
+            held,
+            None if common is None else flat(common.information),
         )
 
     def _fill(

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geograph.kernels import compiled, flat, indices
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -97,6 +99,8 @@ def settled(found: Evaluation, weight: NDArray[np.float64] | None, loss: Loss) -
     common = found.common
     if common is None or not found.residual.size:
         return found
+    if compiled is not None and loss.name == "none":
+        return _settled_compiled(found, common, weight)
     residual = found.residual[:, 0]
     slope = np.asarray(common.by_common)
     fixed = np.ones_like(residual) if weight is None else weight
@@ -116,7 +120,22 @@ def settled(found: Evaluation, weight: NDArray[np.float64] | None, loss: Loss) -
             break
     changed = residual + slope * (value - common.value)[common.group]
     common = replace(common, value=value, weight=factor)
-    return replace(found, residual=changed[:, None], common=common)
+    return found.settled(changed[:, None], common)
+
+
+def _settled_compiled(
+    found: Evaluation, common: Common, weight: NDArray[np.float64] | None
+) -> Evaluation:
+    """Do what :func:`settled` does, without a loss, in compiled code."""
+    count, groups = common.group.size, common.start.size
+    value, changed = np.empty(groups), np.empty((count, 1))
+    compiled.settle(
+        *(count, groups, indices(common.start), flat(found.residual), flat(common.by_common)),
+        *map(flat, (weight, common.information, common.value)),
+        *(value, changed),
+    )
+    held = Common(common.group, common.start, common.by_common, common.information, value, weight)
+    return found.settled(changed, held)
 
 
 def project(

@@ -221,10 +221,12 @@ class Elimination(Factorisation):
         self._a = system.inverse_transition
         # Rows of the current knot, and of the constants and the gradient, over (knot, constants,
         # gradient).
-        knot = np.zeros((d, d + constants.size + 1))
-        np.fill_diagonal(knot, system.prior_information)
+        size = d + constants.size
+        knot = np.zeros((d, size + 1))
+        knot.reshape(-1)[:: size + 2] = system.prior_information
         knot[:, -1] = system.prior_gradient
-        other = np.eye(constants.size + 1)
+        other = np.zeros((constants.size + 1, constants.size + 1))
+        other.reshape(-1)[:: constants.size + 2] = 1.0
         other[:-1, -1] = other[-1, :-1] = constants
         self._half_log = self._square = 0.0
         self._swept: Sweep | Ends | None = None
@@ -239,12 +241,13 @@ class Elimination(Factorisation):
             self._half_log, self._square = found.half_log, found.square
         else:
             knot = knot + system.blocks.knots[0]
-            other = other + system.blocks.others.sum(axis=0)
-        size = d + constants.size
+            others = system.blocks.others
+            other += others[0] if len(others) == 1 else others.sum(axis=0)
         information = np.empty((size, size))
         information[:d], information[d:, :d] = knot[:, :-1], knot[:, d:-1].T
         information[d:, d:] = other[:-1, :-1]
-        information.flat[:: size + 1] += damping
+        if damping:
+            information.reshape(-1)[:: size + 1] += damping
         root, fault = lapack.dpotrf(information, lower=1, clean=1)
         if fault or not np.isfinite(root).all():
             raise NotPositiveDefiniteError

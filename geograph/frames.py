@@ -61,6 +61,25 @@ class SensorPoses:
     axes_rate: NDArray[np.float64] | None
 
 
+@dataclass(frozen=True, eq=False)
+class SensorPieces:
+    """All sensors' ways as pieces of cubics; one that stands still has one piece.
+
+    Attributes
+    ----------
+    first
+        Shape (S + 1,): the pieces of sensor s are number first[s] to first[s + 1] - 1.
+    edges_s
+        Shape (p,): when each piece begins; its powers are of the time since.
+    parts
+        Shape (p, 4, 3): coefficients of the third power to the zeroth, SI.
+    """
+
+    first: NDArray[np.int64]
+    edges_s: NDArray[np.float64]
+    parts: NDArray[np.float64]
+
+
 class SensorGeometry:
     """The sensors of one recording, ready to be asked for their poses.
 
@@ -225,6 +244,28 @@ class SensorGeometry:
             if rows.size:
                 position[rows] = mover.position_at(time_s[rows])
         return position
+
+    @cached_property
+    def pieces(self) -> SensorPieces:
+        """The ways of all sensors, as compiled code reads them."""
+        edges, parts = [], []
+        for index in range(len(self.sensors)):
+            mover = self._movers.get(index)
+            if mover is None:
+                still = np.zeros((1, 4, 3))
+                still[0, 3] = self._position[index]
+                own = np.zeros(1), still
+            else:
+                own = mover.pieces()
+            edges.append(own[0])
+            parts.append(own[1])
+        first = np.cumsum([0, *(part.size for part in edges)])
+        # Without a sensor there is nothing to join.
+        return SensorPieces(
+            first.astype(np.int64),
+            np.concatenate([np.empty(0), *edges]),
+            np.ascontiguousarray(np.concatenate([np.empty((0, 4, 3)), *parts])),
+        )
 
     def moves(self, sensor: NDArray[np.int64]) -> bool:
         """Tell whether any of some sensors moves."""

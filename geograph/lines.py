@@ -178,6 +178,9 @@ def robust_scale(normalised: NDArray[np.float64]) -> float:
         Shape (n,) or (n, k), k up to 3: whitened residuals; zeros stand for what was not measured.
     """
     table = normalised.reshape(len(normalised), -1)
+    if table.shape[1] == 1:
+        length = np.abs(table[table != 0.0])
+        return float(np.median(length) / _MEDIAN_LENGTH[1]) if length.size else 0.0
     seen = np.count_nonzero(table, axis=1)
     used = seen > 0
     if not used.any():

@@ -71,8 +71,8 @@ class Path(ABC):
     def locate(self, time_s: NDArray[np.float64]) -> Place:
         """Return the place of times, shape (n,), among the knots."""
         last = max(self.knots_s.size - 2, 0)
-        interval = np.searchsorted(self.knots_s, time_s, side="right") - 1
-        interval = np.clip(interval, 0, last)
+        interval = self.knots_s.searchsorted(time_s, side="right") - 1
+        interval = np.minimum(np.maximum(interval, 0), last)
         offset = time_s - self.knots_s[interval]
         step = self.steps_s[interval]
         position, velocity = self._weights(step, offset)
@@ -101,6 +101,11 @@ class PathState(ABC):
         position = np.matmul(place.position_weights[:, None, :], basis)[:, 0]
         velocity = np.matmul(place.velocity_weights[:, None, :], basis)[:, 0]
         return position, velocity
+
+    def position(self, place: Place) -> NDArray[np.float64]:
+        """Return the position alone, shape (n, 3)."""
+        basis = self._basis[place.interval]
+        return np.asarray(np.matmul(place.position_weights[:, None, :], basis)[:, 0])
 
     @property
     def basis(self) -> NDArray[np.float64]:
@@ -153,7 +158,11 @@ class KinematicPathState(PathState):
 
     def __init__(self, path: KinematicPath, state: NDArray[np.float64]) -> None:
         self._order = path.order
-        following = state[1:] if state.shape[0] > 1 else np.zeros_like(state)
+        if state.shape[0] == 1:
+            self._basis = np.zeros((1, 2 * path.order, 3))
+            self._basis[0, : path.order] = state.reshape(-1, 3)
+            return
+        following = state[1:]
         both = np.concatenate([state[: following.shape[0]], following], axis=1)
         self._basis = both.reshape(following.shape[0], 2 * path.order, 3)
 

@@ -57,6 +57,11 @@ class StraightLine:
         """Return positions, velocities and accelerations, each shape (n, 3)."""
         return self.position_at(time_s), self.velocity_at(time_s), self.acceleration_at(time_s)
 
+    def pieces(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the line as one piece of a cubic; see :class:`geograph.frames.SensorPieces`."""
+        none = np.zeros(3)
+        return np.array([self.time_s]), np.stack([none, none, self.rate_m_s, self.start_m])[None]
+
 
 @dataclass(frozen=True, eq=False)
 class Platform:

@@ -8,6 +8,7 @@ The cost is, with whitened residuals r,
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -169,6 +170,12 @@ class Problem:
         }
         return Problem(**(arguments | changes))  # type: ignore[arg-type]
 
+    @cached_property
+    def _prior_information(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Scales of the path over the prior's sigmas, and information of the first knot, scaled."""
+        ratio = self.path_scale / self.prior.sigma
+        return ratio, np.concatenate([ratio**2, self._chain_start**-2.0])
+
     @property
     def measurement_rows(self) -> int:
         """Scalar measurements in all."""
@@ -198,11 +205,12 @@ class Problem:
         self, found: Evaluation, weight: NDArray[np.float64] | None
     ) -> tuple[float, NDArray[np.float64] | None]:
         """Return a family's cost and the weights of its measurements' information."""
-        square = np.einsum("ij,ij->i", found.residual, found.residual)
         held = 0.0 if found.common is None else found.common.cost
+        if weight is None and self.loss.name == "none":
+            return held + 0.5 * float(np.vdot(found.residual, found.residual)), None
+        square = np.einsum("ij,ij->i", found.residual, found.residual)
         if self.loss.name == "none":
-            if weight is None:
-                return held + 0.5 * float(square.sum()), None
+            assert weight is not None
             return held + 0.5 * float(weight @ square), weight
         value, slope = self.loss.value_and_weight(square)
         if weight is not None:
@@ -212,8 +220,15 @@ class Problem:
     def cost(self, values: Values) -> float:
         """Return the cost at one point; not finite where a prediction is not."""
         total = self.prior_cost(values)
-        for found, weight in zip(self.evaluate(values, jacobian=False), self.weights, strict=True):
-            total += self._measurement_cost(found, weight)[0]
+        point = self.path, self.path.at_state(values.path, jacobian=False), values
+        for family, weight in zip(self.families, self.weights, strict=True):
+            share = None
+            if self.loss.name == "none":
+                share = family.add_to(None, *point, weight=weight, scale=self.path_scale)
+            if share is None:
+                found = settled(family.evaluate(*point, jacobian=False), weight, self.loss)
+                share, _ = self._measurement_cost(found, weight)
+            total += share
         return total
 
     def prior_cost(self, values: Values) -> float:
@@ -252,19 +267,23 @@ class Problem:
         """Return the linear system of scaled increments at one point."""
         blocks = Sums.zeros(self.layout, max(self.knots_s.size - 1, 1))
         inverse, noise_root, residual = self._transitions(values)
-        cost = self._start_cost(values) + 0.5 * float(np.sum(residual**2))
-        for found, weight, total in zip(
-            self.evaluate(values, jacobian=True), self.weights, self._sums, strict=True
-        ):
-            share, information_weight = self._measurement_cost(found, weight)
+        cost = self._start_cost(values) + 0.5 * float(np.vdot(residual, residual))
+        state = self.path.at_state(values.path, jacobian=True)
+        point = self.path, state, values
+        for family, weight, total in zip(self.families, self.weights, self._sums, strict=True):
+            share = None
+            if self.loss.name == "none":
+                share = family.add_to(blocks, *point, weight=weight, scale=self.path_scale)
+            if share is None:
+                found = settled(family.evaluate(*point, jacobian=True), weight, self.loss)
+                share, information_weight = self._measurement_cost(found, weight)
+                root = None if information_weight is None else np.sqrt(information_weight)
+                total.add(blocks, found, root)
             cost += share
-            root = None if information_weight is None else np.sqrt(information_weight)
-            total.add(blocks, found, root)
         if self.shift is not None:
             self.shift.add(blocks.others[0], slice(0, self.layout.constants), values.constants)
+        ratio, information = self._prior_information
         start = (values.path[0] - self.prior.mean) / self.prior.sigma
-        ratio = self.path_scale / self.prior.sigma
-        information = np.concatenate([ratio**2, self._chain_start**-2.0])
         gradient = np.concatenate([ratio * start, values.walks[0] / self._chain_start**2])
         return LinearSystem(
             blocks,
@@ -333,11 +352,10 @@ class Problem:
     def moved(self, values: Values, step: Step) -> Values:
         """Return the point a step away."""
         m = self.layout.path
-        return replace(
-            values,
-            path=values.path + step.knots[:, :m] * self.path_scale,
-            walks=values.walks + step.knots[:, m:],
-            constants=values.constants + step.constants,
+        return type(values)(
+            values.path + step.knots[:, :m] * self.path_scale,
+            values.walks + step.knots[:, m:],
+            values.constants + step.constants,
         )
 
     def refresh(self, values: Values) -> None:

@@ -273,13 +273,20 @@ def _cost(data: RangeData, spline: BSpline, found: Residuals, loss: _Loss) -> fl
     return cost if np.isfinite(cost) else np.inf
 
 
+def _basis(spline: BSpline, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the basis functions at times in the span, shape (n, b)."""
+    if spline.k == 0 and len(spline.c) == 1:
+        return np.ones((time_s.size, 1))
+    return np.asarray(BSpline.design_matrix(time_s, spline.t, spline.k).toarray())
+
+
 def _normal(
     data: RangeData, spline: BSpline, found: Residuals, loss: _Loss
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the normal equations' matrix and gradient."""
     low, high = spline.t[0], spline.t[-1]
     inside = np.clip(found.emitted_s, low, high)
-    basis = BSpline.design_matrix(inside, spline.t, spline.k).toarray()
+    basis = _basis(spline, inside)
     rate = np.zeros_like(basis)
     if spline.k:
         count = basis.shape[1]
@@ -303,7 +310,7 @@ def _normal(
     pull = design.T @ (weight * found.value)
     if data.heights.value.size:
         value, up, time = _height_rows(data, spline, loss.soft * _range(found))
-        at = BSpline.design_matrix(time, spline.t, spline.k).toarray()
+        at = _basis(spline, time)
         extra = np.einsum("nc,nb->nbc", up, at).reshape(value.size, -1)
         information += extra.T @ extra
         pull += extra.T @ value

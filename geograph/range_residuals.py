@@ -9,6 +9,7 @@ of its rows.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -99,6 +100,8 @@ class Evaluator:
             [ranges.group, self._line_event, self._pair_event, self._pair_event]
         )
         self.start_s = data.times()[: self.events]
+        ends = np.cumsum([0, len(ranges), lines, pairs, pairs]).tolist()
+        self._parts = [slice(*part) for part in pairwise(ends)]
 
     def __call__(
         self, state: State, emitted_s: NDArray[np.float64], *, jacobian: bool = False
@@ -124,9 +127,7 @@ class Evaluator:
             speed_m_s=data.speed_m_s,
             spin_rad_s=data.spin_rad_s,
         )
-        sizes = [len(data.ranges), len(data.bearings), len(data.differences)]
-        ends = np.cumsum([*sizes, sizes[2]])
-        parts = np.split(np.arange(event.size), ends[:-1])
+        parts = self._parts
         first, slope, emitted = self._range_rows(ray.take(parts[0]), jacobian=jacobian)
         lines, pair = ray.take(parts[1]), (ray.take(parts[2]), ray.take(parts[3]))
         second = self._bearing_rows(lines, jacobian=jacobian)
@@ -176,6 +177,8 @@ class Evaluator:
         self, ray: Ray, *, jacobian: bool
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         table = self.data.bearings
+        if not len(table):
+            return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
         inside = np.einsum("nij,nj->ni", self._axes, ray.turned_m - ray.sensor.position_m)
         residual = np.zeros((len(table), 2))
         slope = np.zeros((len(table), 2, 3))

@@ -155,6 +155,15 @@ class Trajectory:
         velocity = (3.0 * third * offset + 2.0 * second) * offset + first
         return position, velocity, 6.0 * third * offset + 2.0 * second
 
+    def pieces(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return edges (p,) and coefficients (p, 4, 3) of :class:`geograph.frames.SensorPieces`."""
+        if self.time_s.size == 2:
+            # A line, as the spline would have it.
+            rate = np.diff(self.position_m, axis=0) / np.diff(self.time_s)
+            none = np.zeros_like(rate)
+            return self.time_s[:1], np.stack([none, none, rate, self.position_m[:1]], axis=1)
+        return self._spline.x[:-1], np.swapaxes(self._spline.c, 0, 1)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sensor:

@@ -372,6 +372,8 @@ class SensorErrorTerms:
         Shape (n,): its time tag.
     chain_scale
         Shape (w,): scale of every component of the chains, SI.
+    channels
+        Which errors the measurements feel, besides a platform's; None: any.
     """
 
     def __init__(
@@ -380,14 +382,18 @@ class SensorErrorTerms:
         sensor: NDArray[np.int64],
         time_s: NDArray[np.float64],
         chain_scale: NDArray[np.float64],
+        channels: Sequence[int] | None = None,
     ) -> None:
         self.count = sensor.size
+        felt = np.full(CHANNELS, channels is None)
+        if channels is not None:
+            felt[list(channels)] = True
         constants: list[tuple[NDArray[Any], ...]] = []
         stretch = states.stretches.row(sensor, time_s)
         for columns in (states.bias_column, states.drift_column):
             if not (columns >= 0).any():
                 continue
-            row, channel = np.nonzero(columns[stretch] >= 0)
+            row, channel = np.nonzero((columns[stretch] >= 0) & felt)
             column = columns[stretch[row], channel]
             basis = np.ones(row.size)
             if columns is states.drift_column:
@@ -397,7 +403,7 @@ class SensorErrorTerms:
         if not states.chains:
             self.chains, self._walks, self._term, self._cuts = _NONE, 0, _NONE.row, None
             return
-        row, channel = np.nonzero(states.walk_column[sensor] >= 0)
+        row, channel = np.nonzero((states.walk_column[sensor] >= 0) & felt)
         column = states.walk_column[sensor[row], channel]
         parts: list[tuple[NDArray[Any], ...]] = [(row, channel, column, chain_scale[column])]
         self._walks = row.size
@@ -408,11 +414,11 @@ class SensorErrorTerms:
         terms = []
         row = np.flatnonzero(states.platform_column[sensor] >= 0)
         first = states.platform_column[sensor[row]]
-        for derivative, channels in ((0, POSITION), (1, VELOCITY)):
+        for derivative, start in ((0, POSITION), (1, VELOCITY)):
             for block in range(2):
                 for axis in range(3):
                     column = first + 3 * block + axis
-                    channel = np.full(row.size, channels + axis)
+                    channel = np.full(row.size, start + axis)
                     parts.append((row, channel, column, chain_scale[column]))
                     terms.append(np.full(row.size, 2 * derivative + block))
         self.chains = _joined(parts)
@@ -508,14 +514,25 @@ class SensorErrorTerms:
         )
         value = np.asarray(summed, dtype=np.float64).reshape(self.count, CHANNELS)
         if chains is not None and share is not None and self.chains.row.size:
-            entries = self.chains
-            at = share.interval[entries.row]
-            read = (
-                share.before * chains[at, entries.column]
-                + share.after * chains[at + 1, entries.column]
-            )
-            np.add.at(value, (entries.row, entries.channel), read * entries.basis)
+            value += self.chain_errors(chains, share)
         return value
+
+    def chain_errors(self, chains: NDArray[np.float64], share: ChainShare) -> NDArray[np.float64]:
+        """Return what the chains add to all channels, shape (n, CHANNELS), SI units.
+
+        Parameters
+        ----------
+        chains, share
+            As of :meth:`errors`.
+        """
+        entries = self.chains
+        at = share.interval[entries.row]
+        read = (
+            share.before * chains[at, entries.column] + share.after * chains[at + 1, entries.column]
+        )
+        place = entries.row * CHANNELS + entries.channel
+        summed = np.bincount(place, read * entries.basis, minlength=self.count * CHANNELS)
+        return np.asarray(summed, dtype=np.float64).reshape(self.count, CHANNELS)
 
 
 def _by_row(entries: _Entries) -> _Entries:

@@ -1,25 +1,29 @@
 """Compiled code against the NumPy code that it stands in for: the same numbers to rounding."""
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from made_problem import random_problem
+from made_radio import RadioKind, radio_problem
 from test_families import kinds, made_possible
 
 import geograph as gg
-from geograph import blocks, falls, motion, sweep
-from geograph.families import bearings
+from geograph import blocks, common, falls, motion, sweep
+from geograph.families import bearings, rays
 from geograph.kernels import compiled, flat
+from geograph.losses import Loss
 from geograph.motion import Density, Motion
 from geograph.scenarios import low_orbit_pass
 
-MODULES = (blocks, falls, motion, sweep, bearings)
+MODULES = (blocks, common, falls, motion, sweep, bearings, rays)
 
 needs_compiled = pytest.mark.skipif(compiled is None, reason="nothing was compiled here")
 
@@ -82,6 +86,84 @@ def test_families_and_their_blocks(seed, kind, weighted):
                 # Light times are found to a microsecond, by one measurement or by all together.
                 alike(one, two, name, rtol=1e-7)
     alike(ours[2], reference[2], "blocks", rtol=1e-7)
+
+
+radio_kinds = st.builds(
+    RadioKind,
+    frame=st.sampled_from(["local", "ecef"]),
+    motion=st.sampled_from(
+        ["static", "constant-position", "constant-velocity", "constant-acceleration", "ballistic"]
+    ),
+    speed_m_s=st.sampled_from([299792458.0, 340.0]),
+    moving=st.booleans(),
+    clocks=st.booleans(),
+    positions=st.booleans(),
+    walks=st.booleans(),
+    platforms=st.booleans(),
+    fast=st.booleans(),
+    common=st.booleans(),
+    knots=st.integers(2, 4),
+)
+
+
+def possible_radio(kind):
+    """Sound does not cross space; walks and platforms need a chain of knots, and trajectories.
+
+    Where nothing moves at all, differences of frequency are rounding.
+    """
+    if kind.frame == "ecef" or kind.motion == "ballistic":
+        kind = replace(kind, speed_m_s=299792458.0)
+    if kind.motion == "static":
+        kind = replace(kind, walks=False, platforms=False, moving=True)
+    return replace(kind, platforms=kind.platforms and kind.moving)
+
+
+@needs_compiled
+@settings(max_examples=40, deadline=None, derandomize=True, phases=[Phase.generate])
+@given(
+    seed=st.integers(0, 2**32 - 1), kind=radio_kinds, loss=st.sampled_from(["none", "cauchy"]),
+    weighted=st.booleans(),
+)  # fmt: skip
+def test_arrivals_and_differences(seed, kind, loss, weighted):
+    kind = possible_radio(kind)
+
+    def work():
+        problem, values = radio_problem(np.random.default_rng(seed), kind)
+        weights = [
+            np.linspace(0.0, 1.5, len(family)) if weighted else None for family in problem.families
+        ]
+        problem = problem.with_weights(weights, Loss(loss))
+        problem.refresh(values)
+        plain = problem.evaluate(values, jacobian=False)
+        found = problem.evaluate(values, jacobian=True)
+        system = problem.linearise(values)
+        kept = [
+            (family._white, *(end.read_s for end in family.ends), family.emitted_s, *heard)
+            for family, heard in (
+                (family, family.emissions(problem.path, values)) for family in problem.families
+            )
+        ]
+        return found, plain, system, kept
+
+    ours, reference = work(), in_numpy(work)
+    for found, other in zip(ours[0] + ours[1], reference[0] + reference[1], strict=True):
+        for name in ("interval", "constant_row", "constant_column", "walk_row", "walk_column"):
+            assert np.array_equal(getattr(found, name), getattr(other, name)), name
+        for name in ("residual", "by_knots", "by_constants", "by_walks", "walk_before"):
+            one, two = getattr(found, name), getattr(other, name)
+            assert (one is None) == (two is None)
+            if one is not None:
+                alike(one, two, name, rtol=1e-7)
+        assert (found.common is None) == (other.common is None)
+        if found.common is not None:
+            alike(found.common.value, other.common.value, "shared", rtol=1e-7)
+            alike(found.common.leverage(), other.common.leverage(), "leverage", rtol=1e-6)
+    for part, other in zip(ours[3], reference[3], strict=True):
+        for one, two in zip(part, other, strict=True):
+            alike(one, two, "noise and times")
+    for name in ("knots", "others"):
+        alike(getattr(ours[2].blocks, name), getattr(reference[2].blocks, name), name, rtol=1e-7)
+    assert ours[2].cost == pytest.approx(reference[2].cost, rel=1e-8)
 
 
 def random_system(rng, count, d, s):
@@ -276,3 +358,39 @@ def test_an_old_build_is_not_used(monkeypatch):
     if compiled is not None:
         monkeypatch.setattr(compiled, "CLOCK", 99)
     assert kernels._load() is None
+
+
+@needs_compiled
+def test_a_plan_goes_to_another_process_and_back():
+    problem, values = radio_problem(np.random.default_rng(2), RadioKind())
+    copied = pickle.loads(pickle.dumps(problem))
+    assert copied.linearise(values).cost == problem.linearise(values).cost
+
+
+@needs_compiled
+def test_wrong_plans_and_groups_are_refused():
+    problem, values = radio_problem(np.random.default_rng(2), RadioKind())
+    plan = problem.families[0]._kernel._given
+    place = next(k for k, part in enumerate(plan) if isinstance(part, np.ndarray))
+    for what, changed in ((plan[place] + 1, "out of range"), (plan[place][:-1], "argument 11")):
+        with pytest.raises((IndexError, ValueError), match=changed):
+            compiled.radio_plan(*plan[:place], what, *plan[place + 1 :])
+    with pytest.raises(ValueError, match="kind 0, 1 or 2"):
+        compiled.radio_plan(3, *plan[1:])
+    with pytest.raises(TypeError, match="an array is missing"):
+        compiled.radio_plan(*plan[:place], None, *plan[place + 1 :])
+    for call in (compiled.radio, compiled.radio_sums):
+        with pytest.raises(ValueError, match="PyCapsule"):
+            call("no plan")
+        with pytest.raises(TypeError, match="too few arguments"):
+            call(problem.families[0]._kernel._plan)
+    one = np.ones(1)
+    with pytest.raises(IndexError, match="empty or out of range"):
+        compiled.settle(1, 1, np.ones(1, dtype=np.int64), one, one, None, one, one, one, one)
+    # Rows of one group in different intervals were not emitted together.
+    found = problem.evaluate(values, jacobian=True)[0]
+    apart = replace(found, interval=np.arange(found.interval.size) % 2)
+    total = blocks.Sums.zeros(problem.layout, 2)
+    with pytest.raises(IndexError, match="a group, interval"):
+        blocks.BlockSum(problem.layout, problem.path_scale).add(total, apart, None)
+    assert not total.knots.any()

@@ -9,6 +9,7 @@ import numpy as np
 
 from geograph.common import Common
 from geograph.factors.arrival import arrival_gradient
+from geograph.families.ray_kernel import ARRIVALS
 from geograph.families.rays import End, RayFamily, Solved, World
 from geograph.states import CHANNELS, CLOCK, POSITION, SPEED
 
@@ -49,6 +50,7 @@ class ArrivalFamily(RayFamily):
     name = "arrivals"
     unit = "s"
     kind = "toa"
+    kernel_kind = ARRIVALS
 
     def __init__(
         self,
@@ -66,7 +68,7 @@ class ArrivalFamily(RayFamily):
         group = code[order]
         super().__init__(
             world,
-            [End(world, arrivals.sensor[order], arrivals.toa_s[order])],
+            [End(world, arrivals.sensor[order], arrivals.toa_s[order], [CLOCK])],
             measured=arrivals.toa_s[order],
             sigma=arrivals.sigma_s[order],
             sigma_common=np.zeros(order.size),
@@ -81,6 +83,9 @@ class ArrivalFamily(RayFamily):
         # Places of a set's arrivals in a table of one row a set, for medians.
         self._column = np.arange(order.size) - self.start[group]
         self._middle = np.stack([(count - 1) // 2, count // 2])
+        self._enough_s = _TOLERANCE * float(self.sigma.min(initial=np.inf))
+        self._nothing = np.zeros(self.start.size)
+        self._lay_out(rounds=_ROUNDS, enough_s=self._enough_s)
 
     def subset(self, index: NDArray[np.int64]) -> ArrivalFamily:
         """Return the family of some of its arrivals (indices in the family's own order)."""
@@ -114,7 +119,6 @@ class ArrivalFamily(RayFamily):
         if self._emitted is None:
             self._emitted = self._median(arrived)[self.group]
         emitted = self._emitted
-        enough = _TOLERANCE * float(self.sigma.min(initial=np.inf))
         for _ in range(_ROUNDS):
             position, velocity = state.position_velocity(path.locate(emitted))
             ray = end.rays(position, velocity, emitted, own, self._delays[0])
@@ -125,7 +129,7 @@ class ArrivalFamily(RayFamily):
             rate = self._median(arrival_gradient(ray).by_emission)
             rate = np.copysign(np.maximum(np.abs(rate), _LEAST_RATE), rate)
             before, emitted = emitted, emitted + (late / rate)[self.group]
-            if not np.abs(emitted - before).max(initial=0.0) > enough:
+            if not np.abs(emitted - before).max(initial=0.0) > self._enough_s:
                 break
         if np.isfinite(emitted).all():
             self._emitted = emitted
@@ -158,9 +162,9 @@ class ArrivalFamily(RayFamily):
         by_channel[:, SPEED] = gradient.by_speed / found.rays[0].speed_m_s
         return gradient.by_position, None, [by_channel]
 
-    def _common(self, found: Solved) -> Common:
-        by_emission = arrival_gradient(found.rays[0]).by_emission
-        groups = self.start.size
-        return Common(
-            self.group, self.start, by_emission * self._white, np.zeros(groups), np.zeros(groups)
-        )
+    def _by_common(self, found: Solved) -> NDArray[np.float64]:
+        return np.asarray(arrival_gradient(found.rays[0]).by_emission * self._white)
+
+    def _shared_unknowns(self, by_common: NDArray[np.float64] | None) -> Common:
+        assert by_common is not None
+        return Common(self.group, self.start, by_common, self._nothing, self._nothing)

@@ -12,6 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from geograph.blocks import Sums
     from geograph.common import Common
     from geograph.path import Path, PathState
 
@@ -38,7 +39,7 @@ class Values:
 
 @dataclass(frozen=True, eq=False)
 class ByPosition:
-    """Derivatives by both neighbours' states, of measurements of a position alone.
+    """Derivatives by both neighbours' states, of measurements of a position, or of a velocity too.
 
     Attributes
     ----------
@@ -46,15 +47,25 @@ class ByPosition:
         Shape (n, 2 order): of the blocks of the knot before and of the one after.
     by_position
         Shape (n, r, 3), SI.
+    start
+        Shape (g,): first measurements of groups of the same emission, which have the same weights;
+        None: each has its own.
+    rates, by_velocity
+        The same for the velocity, or None.
     """
 
     weights: NDArray[np.float64]
     by_position: NDArray[np.float64]
+    start: NDArray[np.int64] | None = None
+    rates: NDArray[np.float64] | None = None
+    by_velocity: NDArray[np.float64] | None = None
 
     def expanded(self) -> NDArray[np.float64]:
         """Return the derivatives themselves, shape (n, r, 2, 3 order)."""
         count, rows, _ = self.by_position.shape
         product = self.weights[:, None, :, None] * self.by_position[:, :, None, :]
+        if self.rates is not None and self.by_velocity is not None:
+            product += self.rates[:, None, :, None] * self.by_velocity[:, :, None, :]
         return product.reshape(count, rows, 2, -1)
 
 
@@ -97,6 +108,23 @@ class Evaluation:
     def by_knots(self) -> NDArray[np.float64] | None:
         """Shape (n, r, 2, 3 order), SI: derivatives by the knots' states, if there are any."""
         return self.by_path.expanded() if isinstance(self.by_path, ByPosition) else self.by_path
+
+    def settled(self, residual: NDArray[np.float64], common: Common) -> Evaluation:
+        """Return the same with other residuals, of shared unknowns that are elsewhere."""
+        return Evaluation(
+            residual,
+            self.interval,
+            self.by_path,
+            self.constant_row,
+            self.constant_column,
+            self.by_constants,
+            self.walk_row,
+            self.walk_column,
+            self.walk_before,
+            self.walk_after,
+            self.by_walks,
+            common,
+        )
 
 
 _NO_INDEX = np.empty(0, dtype=np.int64)
@@ -166,6 +194,35 @@ class Family(ABC):
         self, path: Path, state: PathState, values: Values, *, jacobian: bool
     ) -> Evaluation:
         """Evaluate all measurements at one point."""
+
+    def add_to(
+        self,
+        total: Sums | None,
+        path: Path,
+        state: PathState,
+        values: Values,
+        *,
+        weight: NDArray[np.float64] | None,
+        scale: NDArray[np.float64],
+    ) -> float | None:
+        """Add all measurements up at once, without a loss; return their cost.
+
+        None, which is what families do that know no such way: they were not.
+
+        Parameters
+        ----------
+        total
+            Sums of products that are added to, as by :meth:`geograph.blocks.BlockSum.add`; None:
+            the cost is all that is asked for.
+        path, state, values
+            The point.
+        weight
+            Shape (n,): fixed weights, or None.
+        scale
+            Shape (size,): scales of the path's components, SI.
+        """
+        del total, path, state, values, weight, scale
+        return None
 
     @abstractmethod
     def subset(self, index: NDArray[np.int64]) -> Family:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from geograph.factors.terrain import Surface
-    from geograph.path import Path, PathState
+    from geograph.path import Path, PathState, Place
     from geograph.recording import Frame
 
 
@@ -57,6 +57,13 @@ class _ConstraintFamily(Family):
         self.frame: Frame = frame
         self.surface = surface
         self.row_count = int(time_s.size)
+        self._place: tuple[Path, Place] | None = None
+
+    def _located(self, path: Path) -> Place:
+        """Return where the constraints lie among the knots, found once for a path."""
+        if self._place is None or self._place[0] is not path:
+            self._place = path, path.locate(self.time_s)
+        return self._place[1]
 
     def expanded(self, knots_s: NDArray[np.float64]) -> _ConstraintFamily:
         """Return the family with whole-path rows put at every knot."""
@@ -107,8 +114,8 @@ class _PlaceFamily(_ConstraintFamily):
     ) -> Evaluation:
         """Evaluate all constraints at one point."""
         del values
-        place = path.locate(self.time_s)
-        position, _ = state.position_velocity(place)
+        place = self._located(path)
+        position = state.position(place)
         predicted, gradient = self._function(position, jacobian=jacobian)
         residual = ((predicted - self.value) / self.sigma)[:, None]
         if not jacobian or gradient is None:
@@ -184,7 +191,7 @@ class SpeedFamily(_ConstraintFamily):
     ) -> Evaluation:
         """Evaluate all constraints at one point."""
         del values
-        place = path.locate(self.time_s)
+        place = self._located(path)
         _, velocity = state.position_velocity(place)
         predicted, gradient = speed(velocity)
         residual = ((predicted - self.value) / self.sigma)[:, None]

@@ -14,10 +14,13 @@ from geograph.factors.difference import (
     time_difference,
     time_difference_gradient,
 )
+from geograph.families.ray_kernel import FREQUENCY_DIFFERENCES, TIME_DIFFERENCES
 from geograph.families.rays import End, RayFamily, Solved, World
 from geograph.states import CHANNELS, CLOCK, FREQUENCY, POSITION, SPEED, VELOCITY
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from geograph.factors.difference import DifferenceGradient
@@ -33,6 +36,8 @@ class _DifferenceFamily(RayFamily):
     """Differences against a reference, sorted by time and reference."""
 
     table: TimeDifferences | FrequencyDifferences
+    felt: tuple[Sequence[int], Sequence[int]]
+    """Channels of error of sensor and reference that a difference feels."""
 
     def __init__(
         self,
@@ -56,8 +61,8 @@ class _DifferenceFamily(RayFamily):
         super().__init__(
             world,
             [
-                End(world, table.sensor[order], time),
-                End(world, table.reference[order], time),
+                End(world, table.sensor[order], time, self.felt[0]),
+                End(world, table.reference[order], time, self.felt[1]),
             ],
             measured=measured[order],
             sigma=sigma[order],
@@ -107,14 +112,23 @@ class _DifferenceFamily(RayFamily):
             self._emitted = emitted
         return np.asarray(emitted)
 
-    def _common(self, found: Solved) -> Common | None:
+    def _by_common(self, found: Solved) -> None:
+        """Return nothing: the time of emission follows from the arrival at the reference."""
         del found
-        if not self._shared.any():
+
+    def _shared_unknowns(self, by_common: NDArray[np.float64] | None) -> Common | None:
+        del by_common
+        shared, information = self._shared_prior()
+        if shared is None or information is None:
             return None
-        # Weights for correlation are of the whole covariance, what rows share included.
-        information = np.minimum.reduceat(self.weight, self.start)
         nothing = np.zeros(self.start.size)
-        return Common(self.group, self.start, self._shared, information, nothing)
+        return Common(self.group, self.start, shared, information, nothing)
+
+    def _shared_prior(self) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
+        if not self._shared.any():
+            return None, None
+        # Weights for correlation are of the whole covariance, what rows share included.
+        return self._shared, np.minimum.reduceat(self.weight, self.start)
 
     @staticmethod
     def _channels(gradient: DifferenceGradient, speed_m_s: float) -> list[NDArray[np.float64]]:
@@ -149,6 +163,8 @@ class TimeDifferenceFamily(_DifferenceFamily):
     name = "time_differences"
     unit = "s"
     kind = "tdoa"
+    kernel_kind = TIME_DIFFERENCES
+    felt = (CLOCK,), (CLOCK,)
 
     def __init__(
         self,
@@ -167,6 +183,7 @@ class TimeDifferenceFamily(_DifferenceFamily):
             weight=weight,
             position_noise_m=position_noise_m,
         )
+        self._lay_out(rounds=_ROUNDS, enough_s=_TOLERANCE_S)
 
     def _predicted_error(self, found: Solved) -> NDArray[np.float64]:
         clocks = found.errors[0][:, CLOCK] - found.errors[1][:, CLOCK]
@@ -198,6 +215,9 @@ class FrequencyDifferenceFamily(_DifferenceFamily):
     name = "frequency_differences"
     unit = "Hz"
     kind = "fdoa"
+    kernel_kind = FREQUENCY_DIFFERENCES
+    # The signal is the one that the reference tells the time of.
+    felt = (FREQUENCY,), (CLOCK, FREQUENCY)
 
     def __init__(
         self,
@@ -218,13 +238,24 @@ class FrequencyDifferenceFamily(_DifferenceFamily):
             position_noise_m=position_noise_m,
         )
         self.carrier_hz = table.carrier_hz[self.order]
-        self.median_carrier_hz = median_carrier_hz or float(np.median(table.carrier_hz))
+        self._take_median(median_carrier_hz or float(np.median(table.carrier_hz)))
+
+    def _take_median(self, median_carrier_hz: float) -> None:
+        """Let offsets of frequency be those at some carrier."""
+        self.median_carrier_hz = median_carrier_hz
+        self._relative = self.carrier_hz / median_carrier_hz
+        self._lay_out(
+            rounds=_ROUNDS,
+            enough_s=_TOLERANCE_S,
+            carrier_hz=self.carrier_hz,
+            relative=self._relative,
+        )
 
     def subset(self, index: NDArray[np.int64]) -> FrequencyDifferenceFamily:
         """Return the family of some of its differences (indices in the family's own order)."""
         part = super().subset(index)
         assert isinstance(part, FrequencyDifferenceFamily)
-        part.median_carrier_hz = self.median_carrier_hz
+        part._take_median(self.median_carrier_hz)
         return part
 
     def resolution_m(
@@ -256,8 +287,7 @@ class FrequencyDifferenceFamily(_DifferenceFamily):
     def _predicted_error(self, found: Solved) -> NDArray[np.float64]:
         offsets = found.errors[0][:, FREQUENCY] - found.errors[1][:, FREQUENCY]
         predicted = frequency_difference(found.rays[0], found.rays[1], self.carrier_hz)
-        relative = self.carrier_hz / self.median_carrier_hz
-        return np.asarray(predicted + relative * offsets - self.measured)
+        return np.asarray(predicted + self._relative * offsets - self.measured)
 
     def _gradients(
         self, found: Solved, path: Path, state: PathState
@@ -267,9 +297,8 @@ class FrequencyDifferenceFamily(_DifferenceFamily):
             sensor_ray, reference_ray, self.carrier_hz, _acceleration(found, path, state)
         )
         sensor, reference = self._channels(gradient, found.rays[0].speed_m_s)
-        relative = self.carrier_hz / self.median_carrier_hz
-        sensor[:, FREQUENCY] += relative
-        reference[:, FREQUENCY] -= relative
+        sensor[:, FREQUENCY] += self._relative
+        reference[:, FREQUENCY] -= self._relative
         return gradient.by_position, gradient.by_velocity, [sensor, reference]
 
 

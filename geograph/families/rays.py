@@ -14,7 +14,10 @@ import numpy as np
 
 from geograph.factors.arrival import SensorMotion, trace
 from geograph.families.base import Evaluation, Report, SensorFamily, Values
+from geograph.families.ray_kernel import Merged, RayKernel
 from geograph.frames import frame_spin_rad_s
+from geograph.kernels import compiled
+from geograph.path import BallisticPathState, KinematicPathState
 from geograph.states import POSITION, SPEED, VELOCITY, ChainShare, SensorErrorTerms
 
 if TYPE_CHECKING:
@@ -22,14 +25,30 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from geograph.blocks import Sums
     from geograph.common import Common
     from geograph.factors.arrival import Ray
+    from geograph.families.ray_kernel import RayKernelResult
     from geograph.frames import SensorGeometry
     from geograph.path import Path, PathState, Place
+
+    _ChainEntries = tuple[
+        NDArray[np.int64],
+        NDArray[np.int64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+    ]
     from geograph.states import SensorStates
 
 # Times of emission are found anew, with the chains read in another interval, at most so often.
 _INTERVAL_ROUNDS = 4
+
+PLACED = (*range(POSITION, POSITION + 3), *range(VELOCITY, VELOCITY + 3), SPEED)
+"""Channels of error that every signal feels: where its ends are, and how fast it is."""
+
+_NO_INDEX = np.empty(0, dtype=np.int64)
+_NOTHING = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,15 +89,23 @@ class End:
         Shape (n,): index of each signal's sensor.
     time_s
         Shape (n,): time tags, at which drifts are read.
+    channels
+        Which errors the measurements feel, besides those of :data:`PLACED`.
     """
 
     def __init__(
-        self, world: World, sensor: NDArray[np.int64], time_s: NDArray[np.float64]
+        self,
+        world: World,
+        sensor: NDArray[np.int64],
+        time_s: NDArray[np.float64],
+        channels: Sequence[int],
     ) -> None:
         self.world = world
         self.sensor = sensor
         self.time_s = time_s
-        self.terms = SensorErrorTerms(world.states, sensor, time_s, world.chain_scale)
+        self.terms = SensorErrorTerms(
+            world.states, sensor, time_s, world.chain_scale, (*PLACED, *channels)
+        )
         # When walks and platforms are read; brought up to date between solves.
         self.read_s = time_s.copy()
         # Sensors that stand still are looked up once.
@@ -96,6 +123,14 @@ class End:
         if not self.terms.chains.row.size:
             return self.terms.errors(values.constants)
         return self.terms.errors(values.constants, values.walks, self.share(path, interval))
+
+    def chain_errors(
+        self, path: Path, values: Values, interval: NDArray[np.int64]
+    ) -> NDArray[np.float64] | None:
+        """Return what the chains add to all channels, shape (n, CHANNELS); None: nothing."""
+        if not self.terms.chains.row.size:
+            return None
+        return self.terms.chain_errors(values.walks, self.share(path, interval))
 
     def motion(self, received_s: NDArray[np.float64], errors: NDArray[np.float64]) -> SensorMotion:
         """Return where the sensors are at reception, their estimated errors added."""
@@ -174,6 +209,8 @@ class RayFamily(SensorFamily):
     rows = 1
     unit: str
     kind: str
+    kernel_kind: int
+    """Which of the kinds of :mod:`geograph.families.ray_kernel` it is."""
 
     def __init__(
         self,
@@ -208,6 +245,9 @@ class RayFamily(SensorFamily):
         self._interval: tuple[Path, NDArray[np.int64]] | None = None
         self._emitted: NDArray[np.float64] | None = None
         self._delays: list[NDArray[np.float64] | None] = [None for _ in ends]
+        self._merged = Merged.of(self.ends)
+        self._chained = any(end.terms.chains.row.size > 0 for end in ends)
+        self._kernel: RayKernel | None = None
         self._whiten([np.zeros(measured.size)] * (len(self.ends) + 1))
 
     def _whiten(self, extra: Sequence[NDArray[np.float64]]) -> None:
@@ -227,16 +267,83 @@ class RayFamily(SensorFamily):
         self._white = root / np.sqrt(total - shared)
         self._shared = self._white * np.sqrt(shared)
 
-    def _intervals(self, path: Path, values: Values) -> NDArray[np.int64]:
+    def _lay_out(self, *, rounds: int, enough_s: float, **columns: NDArray[np.float64]) -> None:
+        """Lay out what compiled code needs, where there is any.
+
+        Parameters
+        ----------
+        rounds, enough_s
+            Rounds in which times of emission are found, and the change that ends them.
+        columns
+            Of :class:`geograph.families.ray_kernel.RayKernel`, those that a kind has for itself.
+        """
+        if compiled is None:
+            return
+        self._kernel = RayKernel(
+            self.kernel_kind,
+            world=self.world,
+            ends=self.ends,
+            merged=self._merged,
+            start=self.start,
+            measured=self.measured,
+            time_s=self.time_s,
+            sigma=self.sigma,
+            rounds=rounds,
+            enough=enough_s,
+            **columns,
+        )
+
+    def _intervals(self, path: Path) -> NDArray[np.int64]:
         """Return the intervals that the emissions were last found in."""
         if self._interval is not None and self._interval[0] is path:
             return self._interval[1]
-        del values
         return path.locate(self.time_s).interval
+
+    def _kernel_for(self, state: PathState) -> RayKernel | None:
+        """Return the compiled evaluation, where there is one for such a path."""
+        known = isinstance(state, KinematicPathState | BallisticPathState)
+        return self._kernel if compiled is not None and known else None
+
+    def _run(
+        self,
+        kernel: RayKernel,
+        path: Path,
+        state: PathState,
+        values: Values,
+        *,
+        white: NDArray[np.float64],
+        jacobian: bool,
+        channels: bool = False,
+    ) -> RayKernelResult:
+        """Do what :meth:`solve` does, with residuals and derivatives, in compiled code."""
+        interval = self._intervals(path) if self._chained else None
+        for _ in range(_INTERVAL_ROUNDS):
+            found = kernel.run(
+                path,
+                state,
+                values,
+                white=white,
+                emitted_s=self._emitted,
+                delays_s=self._delays,
+                chains=[
+                    None if interval is None else end.chain_errors(path, values, interval)
+                    for end in self.ends
+                ],
+                jacobian=jacobian,
+                channels=channels,
+            )
+            self._delays = list(found.delays_s)
+            if found.finite:
+                self._emitted = found.emitted_s
+            if interval is None or np.array_equal(found.interval, interval):
+                break
+            interval = found.interval
+        self._interval = (path, found.interval)
+        return found
 
     def solve(self, path: Path, state: PathState, values: Values) -> Solved:
         """Find the times of emission and all signals."""
-        interval = self._intervals(path, values)
+        interval = self._intervals(path)
         for _ in range(_INTERVAL_ROUNDS):
             errors = tuple(end.errors(path, values, interval) for end in self.ends)
             emitted = self._emission_times(path, state, errors)
@@ -274,13 +381,20 @@ class RayFamily(SensorFamily):
         """
 
     @abstractmethod
-    def _common(self, found: Solved) -> Common | None:
-        """Return the unknowns that rows share."""
+    def _by_common(self, found: Solved) -> NDArray[np.float64] | None:
+        """Return whitened derivatives by the time of emission, shape (n,), where it is free."""
+
+    @abstractmethod
+    def _shared_unknowns(self, by_common: NDArray[np.float64] | None) -> Common | None:
+        """Return the unknowns that rows share; ``by_common`` as of :meth:`_by_common`."""
 
     def evaluate(
         self, path: Path, state: PathState, values: Values, *, jacobian: bool
     ) -> Evaluation:
         """Evaluate all measurements at one point; see :class:`Evaluation`."""
+        kernel = self._kernel_for(state)
+        if kernel is not None:
+            return self._evaluate_compiled(kernel, path, state, values, jacobian=jacobian)
         found = self.solve(path, state, values)
         residual = (self._predicted_error(found) * self._white)[:, None]
         interval = found.place.interval
@@ -296,43 +410,122 @@ class RayFamily(SensorFamily):
                 (by_position * white)[:, None, :],
                 None if by_velocity is None else (by_velocity * white)[:, None, :],
             )
-        constants, chains, shares = [], [], []
-        for index, end in enumerate(self.ends):
+        by_constants = np.zeros(self._merged.row.size)
+        for by_end, end, target in zip(by_ends, self.ends, self._merged.target, strict=False):
             entry = end.terms.constants
-            by = by_ends[index][entry.row, entry.channel] * entry.basis if jacobian else entry.basis
-            constants.append((entry.row, entry.column, by))
-            share = end.share(path, interval)
-            entry = end.terms.chains
-            by = by_ends[index][entry.row, entry.channel] * entry.basis if jacobian else entry.basis
-            chains.append((entry.row, entry.column, by))
-            shares.append((share.before, share.after))
-        row, column, by_constants = _merged(constants)
-        chain_row, chain_column, by_chains = (
-            np.concatenate(parts) for parts in zip(*chains, strict=True)
-        )
-        before, after = (np.concatenate(parts) for parts in zip(*shares, strict=True))
+            by = by_end[entry.row, entry.channel] * entry.basis
+            by_constants += np.bincount(target, by, minlength=by_constants.size)
         return Evaluation(
             residual,
             interval,
             by_knots,
-            row,
-            column,
+            self._merged.row,
+            self._merged.column,
             by_constants[:, None] if jacobian else empty,
-            chain_row,
-            chain_column,
-            before,
-            after,
-            by_chains[:, None] if jacobian else empty,
-            self._common(found),
+            *self._chain_entries(path, interval, by_ends),
+            self._shared_unknowns(self._by_common(found)),
+        )
+
+    def add_to(
+        self,
+        total: Sums | None,
+        path: Path,
+        state: PathState,
+        values: Values,
+        *,
+        weight: NDArray[np.float64] | None,
+        scale: NDArray[np.float64],
+    ) -> float | None:
+        """Add all measurements up at once, in compiled code; see :meth:`Family.add_to`."""
+        kernel = self._kernel_for(state)
+        if kernel is None or self._chained or not isinstance(state, KinematicPathState):
+            return None
+        cost, emitted, self._delays[:] = kernel.sums(
+            path,
+            state,
+            values,
+            white=self._white,
+            emitted_s=self._emitted,
+            delays_s=self._delays,
+            weight=weight,
+            common=self._shared_prior(),
+            scale=scale,
+            total=total,
+        )
+        if np.isfinite(cost):
+            self._emitted = emitted
+        return cost
+
+    def _shared_prior(self) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
+        """Return derivatives by shared unknowns and what their priors hold, if these are fixed."""
+        return None, None
+
+    def _evaluate_compiled(
+        self, kernel: RayKernel, path: Path, state: PathState, values: Values, *, jacobian: bool
+    ) -> Evaluation:
+        """Do what :meth:`evaluate` does, in compiled code."""
+        found = self._run(
+            kernel,
+            path,
+            state,
+            values,
+            white=self._white,
+            jacobian=jacobian,
+            channels=jacobian and self._chained,
+        )
+        return Evaluation(
+            found.residual[:, None],
+            found.interval,
+            found.by_path,
+            self._merged.row,
+            self._merged.column,
+            np.empty((0, 1)) if found.by_constants is None else found.by_constants,
+            *self._chain_entries(path, found.interval, found.by_ends),
+            self._shared_unknowns(found.by_common),
+        )
+
+    def _chain_entries(
+        self, path: Path, interval: NDArray[np.int64], by_ends: Sequence[NDArray[np.float64]]
+    ) -> _ChainEntries:
+        """Return rows, columns, weights and derivatives of the chains' entries, of all ends.
+
+        Without ``by_ends`` there are no derivatives.
+        """
+        if not self._chained:
+            return _NO_INDEX, _NO_INDEX, _NOTHING, _NOTHING, _NOTHING[:, None]
+        entries = [end.terms.chains for end in self.ends]
+        shares = [end.share(path, interval) for end in self.ends]
+        by = [
+            by_end[entry.row, entry.channel] * entry.basis
+            for by_end, entry in zip(by_ends, entries, strict=False)
+        ]
+        return (
+            np.concatenate([entry.row for entry in entries]),
+            np.concatenate([entry.column for entry in entries]),
+            np.concatenate([share.before for share in shares]),
+            np.concatenate([share.after for share in shares]),
+            np.concatenate([_NOTHING, *by])[:, None],
         )
 
     def refresh(self, path: Path, values: Values) -> None:
         """Take position noise and the times at which chains are read from an estimate."""
         state = path.at_state(values.path, jacobian=True)
-        found = self.solve(path, state, values)
-        for end, ray in zip(self.ends, found.rays, strict=True):
-            end.read_s = found.emitted_s + ray.light_time_s
-        by_position, by_velocity, by_ends = self._gradients(found, path, state)
+        kernel = self._kernel_for(state)
+        by_position: NDArray[np.float64] | None
+        if kernel is None:
+            solved = self.solve(path, state, values)
+            emitted, delays = solved.emitted_s, [ray.light_time_s for ray in solved.rays]
+            by_position, by_velocity, by_ends = self._gradients(solved, path, state)
+        else:
+            plain = np.ones(len(self))
+            found = self._run(
+                kernel, path, state, values, white=plain, jacobian=True, channels=True
+            )
+            emitted, delays = found.emitted_s, found.delays_s
+            by_position, by_velocity, by_ends = found.by_position, found.by_velocity, found.by_ends
+        assert by_position is not None
+        for end, delay in zip(self.ends, delays, strict=True):
+            end.read_s = emitted + delay
         between = np.linalg.norm(by_position, axis=1) * self.path_noise_m
         if by_velocity is not None:
             added = np.linalg.norm(by_velocity, axis=1) * self.path_noise_m_s
@@ -403,16 +596,3 @@ class RayFamily(SensorFamily):
             sigma=np.sqrt(self.weight / self._white**2)[:, None],
             normalised=-found.residual / root[:, None],
         )
-
-
-def _merged(
-    parts: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Join entries of several ends, adding up those of the same row and column."""
-    if len(parts) == 1:
-        return parts[0]
-    row, column, value = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    width = int(column.max(initial=0)) + 1
-    place, inverse = np.unique(row * width + column, return_inverse=True)
-    total = np.bincount(inverse, value, minlength=place.size)
-    return place // width, place % width, np.asarray(total, dtype=np.float64)

@@ -17,6 +17,11 @@ from geograph import states
 if TYPE_CHECKING:
     from types import ModuleType
 
+_CHANNELS = (
+    *("AZIMUTH", "ELEVATION", "CLOCK", "POSITION", "VELOCITY", "FREQUENCY", "SPEED"),
+    "CHANNELS",
+)
+
 
 def _load() -> ModuleType | None:
     """Return the compiled module if it may be used, and means the same channels of error."""
@@ -26,9 +31,8 @@ def _load() -> ModuleType | None:
         from geograph.kernels import _compiled
     except ImportError:
         return None
-    names = ("AZIMUTH", "ELEVATION", "CLOCK", "POSITION", "VELOCITY", "SPEED", "CHANNELS")
     # An old build beside new sources would read the wrong columns.
-    same = all(getattr(_compiled, name) == getattr(states, name) for name in names)
+    same = all(getattr(_compiled, name, None) == getattr(states, name) for name in _CHANNELS)
     return _compiled if same else None
 
 

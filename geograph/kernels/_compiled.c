@@ -2946,6 +2946,10 @@ static PyObject *live_moved(PyObject *self, PyObject *const *arguments, Size giv
     return PyBool_FromLong(far);
 }
 
+/* ---------------------------------------------------------------------------------- radio */
+
+#include "_radio.c"
+
 /* ---------------------------------------------------------------------------------- module */
 
 static PyMethodDef methods[] = {
@@ -2982,6 +2986,16 @@ static PyMethodDef methods[] = {
      "geograph.incremental.chain.Chain.solve, of one knot"},
     {"live_moved", (PyCFunction)(void (*)(void))live_moved, METH_FASTCALL,
      "geograph.incremental.curvature.Limits.moved, of one interval"},
+
+    {"radio_plan", (PyCFunction)(void (*)(void))radio_plan, METH_FASTCALL,
+     "What the two that follow need and no solve changes"},
+    {"radio", (PyCFunction)(void (*)(void))radio, METH_FASTCALL,
+     "geograph.families.rays.RayFamily.evaluate"},
+    {"radio_sums", (PyCFunction)(void (*)(void))radio_sums, METH_FASTCALL,
+     "The same with geograph.common.settled and geograph.blocks.BlockSum.add"},
+    {"settle", (PyCFunction)(void (*)(void))settle, METH_FASTCALL, "geograph.common.settled"},
+    {"add_shared", (PyCFunction)(void (*)(void))add_shared, METH_FASTCALL,
+     "geograph.blocks.BlockSum.add, of measurements that share unknowns"},
     {NULL, NULL, 0, NULL},
 };
 
@@ -2999,7 +3013,7 @@ PyMODINIT_FUNC PyInit__compiled(void)
         long value;
     } channels[] = {{"AZIMUTH", AZIMUTH},   {"ELEVATION", ELEVATION}, {"CLOCK", CLOCK},
                     {"POSITION", POSITION}, {"VELOCITY", VELOCITY},   {"SPEED", SPEED},
-                    {"CHANNELS", CHANNELS}};
+                    {"FREQUENCY", FREQUENCY}, {"CHANNELS", CHANNELS}};
     for (size_t i = 0; i < sizeof channels / sizeof channels[0]; i++)
         if (PyModule_AddIntConstant(made, channels[i].name, channels[i].value) < 0) {
             Py_DECREF(made);
