@@ -239,9 +239,11 @@ class BlockSum:
         """Do what :meth:`add` does, in compiled code, without laying out the rows."""
         layout, by = self.layout, found.by_path
         count, rows = found.residual.shape
-        order, by_path, weights = 0, found.by_knots, None
+        order, by_path, weights = 0, None, None
         if isinstance(by, ByPosition) and by.rates is None:
             order, by_path, weights = by.weights.shape[1] // 2, by.by_position, by.weights
+        else:
+            by_path = found.by_knots
         compiled.add_blocks(
             *(total.knots.shape[0], total.others.shape[0]),
             *(layout.path, layout.walks, layout.constants, int(layout.chained)),
