@@ -54,6 +54,9 @@ _MISFIT = 10.0
 _DOUBTFUL = 1.5
 # From so many sigmas down a trial is fitted to its end.
 _PROMISING = 300.0
+# Width of the loss, in sigmas; how often a fit goes on, and the share that is no progress.
+_WIDTH = 3.0
+_SETTLING, _STILL = 6, 0.9
 # Orbits through the first directions that may try to take up the others.
 _GROWN = 4
 # From so many directions on, what fits is the orbit, and no other one fits better by chance.
@@ -96,9 +99,11 @@ def orbit_fits(finder: FirstGuess, forces: Forces | None = None) -> list[PathFit
                 found.append(_whole_fit(lines, start, fit, early, forces))
                 if found[-1].misfit < _DOUBTFUL and early.sum() >= _MANY:
                     break
-        found.sort(key=lambda fit: fit.misfit)
-        # By chance a wrong orbit meets few directions well, but not as well as the right one.
-        if search is _circles and not (found and found[0].misfit < _good(early)):
+        found.sort(key=lambda fit: (fit.beyond, fit.misfit))
+        # By chance a wrong orbit meets few directions well, but not as well as the right one, and
+        # one that is far enough away meets any.
+        good = bool(found) and not found[0].beyond and found[0].misfit < _good(early)
+        if search is _circles and not good:
             continue
         for fit in found[:_GROWN]:
             best = _grown(lines, start, span, fit, forces)
@@ -159,6 +164,11 @@ class _Fit:
     misfit: float
     state: NDArray[np.float64]
     forces: Forces | None
+
+    @property
+    def beyond(self) -> bool:
+        """Whether it is farther away than any that was looked for."""
+        return float(np.linalg.norm(self.state[:3])) > 2.0 * _FARTHEST_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,10 +322,31 @@ def _whole_fit(
     its first guess has to be good for.
     """
     if best.forces is None:
-        best = _fitted(lines, start_s, best.state, rows)
+        best = _settled(lines, start_s, best, rows, None)
         if forces is None or best.misfit < _DOUBTFUL:
             return best
-    return _fitted(lines, start_s, best.state, rows, forces)
+    return _settled(lines, start_s, best, rows, forces)
+
+
+def _settled(
+    lines: Lines, start_s: float, best: _Fit, rows: NDArray[np.bool_], forces: Forces | None
+) -> _Fit:
+    """Return a fit that is not on its way any more.
+
+    Far off, a loss that is as narrow as the noise has hardly a slope: it is as wide as the misfit
+    first.
+    """
+    width = max(best.misfit, _WIDTH)
+    found = _fitted(lines, start_s, best.state, rows, forces, width=width)
+    for _ in range(_SETTLING):
+        before = found
+        if found.misfit < _DOUBTFUL and width <= _WIDTH:
+            break
+        width = max(min(found.misfit, 0.3 * width), _WIDTH)
+        found = _fitted(lines, start_s, found.state, rows, forces, width=width)
+        if width <= _WIDTH and found.misfit > _STILL * before.misfit:
+            break
+    return found
 
 
 def _fitted(
@@ -326,6 +357,7 @@ def _fitted(
     forces: Forces | None = None,
     *,
     most: int = _STEPS,
+    width: float = _WIDTH,
 ) -> _Fit:
     """Return the orbit through some directions.
 
@@ -372,7 +404,7 @@ def _fitted(
         jac=derivatives,
         x_scale=np.concatenate([np.repeat([1e5, 1e2], 3), prior]),
         loss="cauchy",
-        f_scale=3.0,
+        f_scale=width,
         max_nfev=most,
     )
     residual = evaluate(solved.x)[0]
