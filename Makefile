@@ -12,7 +12,7 @@ JOBS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := demo-output
-KERNELS := geograph/kernels/_compiled.c geograph/kernels/_radio.c
+KERNELS := $(wildcard geograph/kernels/*.[ch])
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
 # The matrices are small, and tests run in parallel: threads would only wait for each other.

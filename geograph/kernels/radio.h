@@ -1,7 +1,6 @@
 /*
 Arrivals, and differences of arrival time and frequency: families/rays.py with its two modules, the
 equations of factors/arrival.py and factors/difference.py, and the sums of what shares unknowns.
-Included by _compiled.c, whose arrays, weights and layout of rows it uses.
 */
 
 /* Blocks of a path's basis: 2 m of a kinematic path, 8 of a fall (path.py). */
