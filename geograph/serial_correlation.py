@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 FALSE_ALARM = 1e-3
-"""Chance that white errors of a recording are taken to be correlated."""
+"""Chance that white errors of one kind of measurement are taken to be correlated."""
 
 # Fewer measurements of a sensor say nothing of their correlation.
 _LEAST = 32
@@ -40,7 +40,11 @@ def inflations(
     time_s: NDArray[np.float64],
     group: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Return by how much each group's errors are worse than white ones of their sigmas, (g,).
+    """Return by how much the errors of sensors are worse than white ones of their sigmas, (g,).
+
+    They are told only together: where the errors of none are correlated beyond chance, those of all
+    count as white. Estimates, which are rough where a pass is not much longer than the
+    correlation, are drawn towards each other (:func:`shrunk`).
 
     Parameters
     ----------
@@ -51,7 +55,7 @@ def inflations(
     time_s
         Shape (n,): times of the measurements.
     group
-        Shape (n,): sensor of each, as numbers from zero on.
+        Shape (n,): sensor of each, as numbers from zero on; all of one kind of measurement.
 
     Returns
     -------

@@ -106,24 +106,20 @@ def _apart(before: Density, after: Density) -> float:
 
 
 def _weigh(smoother: Smoother) -> bool:
-    """Let measurements count as what they are worth; tell whether that is other than before."""
-    problem, families = smoother.problem, smoother.families
+    """Let measurements count as what they are worth; tell whether any count as fewer."""
+    problem, before = smoother.problem, smoother.worth
     found = problem.evaluate(smoother.solution.values, jacobian=False)
-    rows = max(family.rows for family in families)
-    scores, weights = [], []
-    for part, out in zip(found, smoother.split(smoother.rejected), strict=False):
-        weight = problem.loss.value_and_weight(np.sum(part.residual**2, axis=1))[1] * ~out
+    shares = []
+    # Families that sensors measured stand before all others. Kinds differ too much to be compared.
+    parts = zip(smoother.families, found, smoother.split(smoother.rejected), strict=False)
+    for family, part, rejected in parts:
+        slope = problem.loss.value_and_weight(np.sum(part.residual**2, axis=1))[1]
+        weight = np.where(rejected, 0.0, slope)
+        _, group = np.unique(family.sensor, return_inverse=True)
         score = weight[:, None] * part.residual
-        scores.append(np.pad(score, ((0, 0), (0, rows - score.shape[1]))))
-        weights.append(weight)
-    inflation = inflations(
-        np.concatenate(scores),
-        np.concatenate(weights),
-        np.concatenate([family.time_s for family in families]),
-        smoother.group,
-    )
-    before = smoother.worth
-    smoother.worth = None if (inflation == 1.0).all() else 1.0 / inflation[smoother.group]
+        shares.append(1.0 / inflations(score, weight, family.time_s, group)[group])
+    worth = np.concatenate(shares)
+    smoother.worth = None if (worth == 1.0).all() else worth
     if before is None and smoother.worth is None:
         return False
     kept = (~smoother.rejected).astype(np.float64) if smoother.rejected.any() else None
