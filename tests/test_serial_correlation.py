@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import geograph as gg
+from geograph.scenarios.fireballs import Fireball, fireball
 from geograph.scenarios.sensor_errors import slow_errors
 from geograph.scenarios.staged_noise import StagedNoise, staged_flight
 from geograph.serial_correlation import inflations, long_run_variance, shrunk
@@ -89,3 +91,23 @@ def test_slow_errors_are_not_taken_for_motion():
     # Only where the noise is found.
     assert all(e["worth"] == e["measurements"] for e in true.summary["sensors"].values())
     assert any("too small" in text for text in true.summary["flagged_sensors"])
+
+
+def test_fireballs_are_what_their_recordings_say_but_for_slow_errors():
+    """The band is left with a chance of 0.2 % (chi-square of 3 passes of 3 components)."""
+
+    def square(slow):
+        total = 0.0
+        for seed in range(3):
+            recording = fireball(seed, Fireball(slow=slow, frames_s=10.0))
+            truth = recording.truth
+            middle = gg.smooth(recording).at(truth.time_s[40:41])
+            error = middle.position_m[0] - truth.position_m[40]
+            total += error @ np.linalg.solve(middle.position_covariance_m2[0], error)
+        return total
+
+    assert chi2.ppf(0.001, 9) < square(0.0) < chi2.isf(0.001, 9)
+    assert square(2.0) > chi2.isf(0.001, 9)
+    made = [fireball(0, Fireball(slow=slow)).bearings.azimuth_rad for slow in (2.0, 2.0, 0.0)]
+    np.testing.assert_array_equal(made[0], made[1])
+    assert not np.array_equal(made[0], made[2])
