@@ -204,7 +204,6 @@ def _reopened(
     prepared = prepare(replace(recording, sensors=sensors))
     old = smoother.problem
     kept = ~rejected | _of_sensor(smoother, index)
-    others = [None] * (len(old.families) - len(smoother.families))
     problem = Problem(
         motion=old.motion,
         knots_s=old.knots_s,
@@ -214,7 +213,7 @@ def _reopened(
         prior=old.prior,
         path_scale=old.path_scale,
         loss=Loss("cauchy"),
-        weights=[*smoother.split(kept.astype(np.float64)), *others],
+        weights=smoother.weights(kept.astype(np.float64)),
         elimination=old.elimination,
         shift=None if old.motion.static else prepared.shift,
     )

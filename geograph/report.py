@@ -261,7 +261,12 @@ def _summary(
         },
         "resets": reset_facts(smoother, track),
         "hypotheses": [entry.facts(track.frame) for entry in smoother.hypotheses],
-        "flagged_sensors": [*_flagged(track), *diagnose(smoother, out)],
+        "flagged_sensors": [
+            *_flagged(track),
+            *_misfits(smoother, track, out),
+            *_correlated(smoother, out),
+            *diagnose(smoother, out),
+        ],
         "sensors": _per_sensor(smoother, track, out),
         "motion": problem.motion.name,
         "process_noise": None if problem.motion.static else list(noise.axes),
@@ -406,22 +411,42 @@ def _flagged(track: Track) -> list[str]:
                     f"{name}: {state} is {entry.estimate:.4g} +- {entry.sigma:.2g} {entry.unit}, "
                     f"{abs(entry.estimate) / entry.prior_sigma:.1f} times its prior sigma"
                 )
-    return sentences + _misfits(track)
+    return sentences
 
 
-def _misfits(track: Track) -> list[str]:
+def _misfits(smoother: Smoother, track: Track, out: NDArray[np.bool_]) -> list[str]:
     """Name every sensor whose residuals are wider than stated, beyond chance and by much."""
     residuals = track.residuals
     sentences = []
+    sensor = np.concatenate([family.sensor for family in smoother.families])
     for index, name in enumerate(track.recording.sensor_names):
         kept = residuals.normalised[(residuals.sensor == index) & ~residuals.rejected]
         square = float(np.sum(kept**2))
         if square > max(
             _MISFIT**2 * kept.size, float(chi_square.exceeded(_MISFIT_CHANCE, kept.size))
         ):
+            own = (sensor == index) & ~out
+            # Where measurements count as so few, it has been allowed for.
+            small = _worth(smoother, own) * square > own.sum() * kept.size
             sentences.append(
                 f"{name}: residuals are {np.sqrt(square / kept.size):.3g} times their sigmas; its "
-                "sigmas, its errors or the motion model do not fit, and covariances are too small"
+                "sigmas, its errors or the motion model do not fit"
+                + (", and covariances are too small" if small else "")
+            )
+    return sentences
+
+
+def _correlated(smoother: Smoother, out: NDArray[np.bool_]) -> list[str]:
+    """Name every sensor whose measurements count as fewer, for their errors are correlated."""
+    sentences = []
+    sensor = np.concatenate([family.sensor for family in smoother.families])
+    for index, name in enumerate(smoother.prepared.recording.sensor_names):
+        kept = (sensor == index) & ~out
+        count, worth = int(kept.sum()), _worth(smoother, kept)
+        if worth < count:
+            sentences.append(
+                f"{name}: its errors are alike for a while; its {count} measurements count as "
+                f"{worth:.3g} independent ones"
             )
     return sentences
 
@@ -446,6 +471,7 @@ def _per_sensor(
             "measurements": int(measured.sum()),
             "rejected": int(out[measured].sum()),
             "as_reference": int((reference == index).sum()),
+            "worth": _worth(smoother, measured & ~out),
             "rms_normalised": float(np.sqrt(np.mean(residuals.normalised[kept] ** 2)))
             if kept.any()
             else None,
@@ -455,6 +481,11 @@ def _per_sensor(
             entry[f"median_residual_{unit.lower()}"] = float(np.median(size))
         result[name] = entry
     return result
+
+
+def _worth(smoother: Smoother, kept: NDArray[np.bool_]) -> float:
+    """Return how many independent measurements some count as."""
+    return float(kept.sum() if smoother.worth is None else smoother.worth[kept].sum())
 
 
 def _interpolation(smoother: Smoother) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from geograph.softened import NARROW, softened, width
 from geograph.solver import Solution, Status, solve
 from geograph.starts import choose_knots, first_fits, prior_width, start
 from geograph.threads import single_blas_thread
-from geograph.tuning import solved_evidence, tune_direction, tune_noise, tune_stages
+from geograph.tuning import solved_evidence, tune, tune_noise
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -77,6 +77,9 @@ class Smoother:
         Levenberg-Marquardt iterations so far.
     rejected
         Shape (n,): measurements found to be outliers, of all families one after another.
+    worth
+        Shape (n,): how many independent ones each measurement counts as, at most one, where errors
+        of sensors were found to be correlated; None: there are none such.
     ignored
         Share of the information that lies between the knots.
     undecided
@@ -108,6 +111,7 @@ class Smoother:
     resets: Resets = field(default_factory=dict)
     ignored: float = 0.0
     undecided: bool = False
+    worth: NDArray[np.float64] | None = None
     culprits: str | None = None
 
     def __post_init__(self) -> None:
@@ -169,11 +173,7 @@ class Smoother:
             tune_noise(self, 4.0)
         if self.robust:
             self._reject(trial)
-        if automatic:
-            tune_noise(self, 1.0)
-            tune_direction(self)
-        if settings.stages == "auto":
-            tune_stages(self)
+        tune(self)
         if find_resets(self) and self.robust:
             self._reject(trial)
         self._settle()
@@ -288,8 +288,13 @@ class Smoother:
         )
 
     def weights(self, column: NDArray[np.float64] | None) -> list[NDArray[np.float64] | None]:
-        """Return weights for every family: those given for the sensors', none for the others."""
+        """Return weights for every family: those given for the sensors', none for the others.
+
+        What the measurements are worth comes on top of them.
+        """
         others = [None] * (len(self.problem.families) - len(self.families))
+        if self.worth is not None:
+            column = self.worth if column is None else self.worth * column
         if column is None:
             return [None] * len(self.problem.families)
         return [*self.split(column), *others]

@@ -18,6 +18,7 @@ from geograph import chi_square
 from geograph.evidence import Evidence, log_evidence
 from geograph.motion import Density
 from geograph.process_noise import least_noise
+from geograph.serial_correlation import inflations
 from geograph.solver import Status, solve
 from geograph.stage_search import Partition, find_partition, threshold
 from geograph.stages import Stages
@@ -61,6 +62,69 @@ def solved_evidence(solution: Solution) -> float:
     if solution.elimination is None or not np.isfinite(solution.cost):
         return -np.inf
     return -solution.cost - solution.elimination.half_log_determinant()
+
+
+def tune(smoother: Smoother) -> None:
+    """Find the process noise as the settings ask: its value, its direction, its stages.
+
+    Errors that a sensor has for a while look like motion. Where they show in what is left of its
+    measurements, these count as the fewer that they are worth from then on
+    (:mod:`geograph.serial_correlation`), in the evidence and in the estimate, and the noise is
+    found again, until it stands.
+
+    Parameters
+    ----------
+    smoother
+        Solved with a noise that is about right; its problem, solution and ``worth`` are changed.
+    """
+    automatic = smoother.automatic
+    if automatic:
+        _tune_all_along(smoother)
+    for _ in range(_ROUNDS if automatic else 0):
+        before = smoother.problem.motion.density
+        if not _weigh(smoother):
+            break
+        _tune_all_along(smoother)
+        if _apart(before, smoother.problem.motion.density) < _SETTLED:
+            break
+    if smoother.settings.stages == "auto":
+        tune_stages(smoother)
+
+
+def _tune_all_along(smoother: Smoother) -> None:
+    """Find the noise of the whole path."""
+    tune_noise(smoother, 1.0)
+    tune_direction(smoother)
+
+
+def _apart(before: Density, after: Density) -> float:
+    """Return by how much, as a logarithm, noise differs where it differs most."""
+    logs = [
+        np.log([*density.axes, density.along or density.axes[0]]) for density in (before, after)
+    ]
+    return float(np.abs(logs[0] - logs[1]).max())
+
+
+def _weigh(smoother: Smoother) -> bool:
+    """Let measurements count as what they are worth; tell whether any count as fewer."""
+    problem, before = smoother.problem, smoother.worth
+    found = problem.evaluate(smoother.solution.values, jacobian=False)
+    shares = []
+    # Families that sensors measured stand before all others. Kinds differ too much to be compared.
+    parts = zip(smoother.families, found, smoother.split(smoother.rejected), strict=False)
+    for family, part, rejected in parts:
+        slope = problem.loss.value_and_weight(np.sum(part.residual**2, axis=1))[1]
+        weight = np.where(rejected, 0.0, slope)
+        _, group = np.unique(family.sensor, return_inverse=True)
+        score = weight[:, None] * part.residual
+        shares.append(1.0 / inflations(score, weight, family.time_s, group)[group])
+    worth = np.concatenate(shares)
+    smoother.worth = None if (worth == 1.0).all() else worth
+    if before is None and smoother.worth is None:
+        return False
+    kept = (~smoother.rejected).astype(np.float64) if smoother.rejected.any() else None
+    smoother.change(problem.with_weights(smoother.weights(kept)))
+    return True
 
 
 def tune_noise(smoother: Smoother, decades: float) -> None:

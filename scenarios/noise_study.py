@@ -15,6 +15,7 @@ import numpy as np
 
 from geograph.consistency import nees
 from geograph.scenarios.angles_worlds import angles_trial, variant
+from geograph.scenarios.fireballs import Fireball, fireball
 from geograph.scenarios.low_orbit import low_orbit_pass
 from geograph.scenarios.staged import random_staged_path
 from geograph.scenarios.staged_noise import StagedFlight, StagedNoise, staged_flight
@@ -85,7 +86,27 @@ STEADY: dict[str, Callable[[int], StagedFlight]] = {
 }
 """Worlds whose process noise does not change: stages found in them are false."""
 
-TABLES = {"staged": STAGED, "steady": STEADY}
+_SLOW = partial(_noise, events=600, slow_rad=2e-3)
+
+
+def _fireball(seed: int, **changes: Any) -> StagedFlight:
+    return StagedFlight(fireball(seed, Fireball(**changes)), np.zeros(0))
+
+
+CORRELATED: dict[str, Callable[[int], StagedFlight]] = {
+    "bearings with slow errors, quiet": partial(_SLOW, noise=(0.3,)),
+    "bearings with slow errors, lively": partial(_SLOW, noise=(3.0,)),
+    "bearings with slow errors, quiet, often": partial(_SLOW, noise=(0.3,), events=2400),
+    "bearings with slow errors as large as the noise": partial(
+        _SLOW, noise=(0.3,), slow_rad=1e-3, slow_s=10.0
+    ),
+    "fireball": partial(_fireball, slow=0.0),
+    "fireball, slow errors": _fireball,
+    "fireball, large slow errors": partial(_fireball, slow=2.0),
+}
+"""Steady worlds, most of whose sensors have errors that change slowly and are not told."""
+
+TABLES = {"staged": STAGED, "steady": STEADY, "correlated": CORRELATED}
 
 
 @dataclass(frozen=True, eq=False)

@@ -100,6 +100,31 @@ def random_walk(
     return walk
 
 
+def slow_errors(
+    rng: np.random.Generator, time_s: NDArray[np.float64], correlation_s: float
+) -> NDArray[np.float64]:
+    """Draw two stationary errors of unit variance that are correlated in time, shape (2, n).
+
+    Ornstein-Uhlenbeck processes: the correlation falls off as exp(-elapsed / correlation_s).
+
+    Parameters
+    ----------
+    rng
+        Source of randomness.
+    time_s
+        Shape (n,), increasing, seconds.
+    correlation_s
+        Time after which the correlation is 1/e.
+    """
+    left = np.exp(-np.diff(time_s, prepend=-np.inf) / correlation_s)
+    fresh = np.sqrt(1.0 - left**2) * rng.standard_normal((2, time_s.size))
+    found = np.zeros_like(fresh)
+    for index in range(time_s.size):
+        before = found[:, index - 1] if index else 0.0
+        found[:, index] = left[index] * before + fresh[:, index]
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class ErrorHistory:
     """One sensor's errors at its measurements: each of shape (n,), radians and seconds."""

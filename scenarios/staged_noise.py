@@ -14,6 +14,7 @@ import numpy as np
 from geograph.measurements import Arrivals, Bearings, Truth
 from geograph.recording import Recording, SmoothSettings
 from geograph.scenarios.paths import sample_path
+from geograph.scenarios.sensor_errors import slow_errors
 from geograph.sensors import Sensor
 
 if TYPE_CHECKING:
@@ -51,6 +52,9 @@ class StagedNoise:
         Half of the side of the square at whose corners the sensors stand.
     sigma_rad, sigma_m
         White noise of a bearing, on the sky, and of an arrival time, as a length.
+    slow_rad, slow_s
+        Standard deviation of another error of the bearings, on the sky, each sensor's own and not
+        told in the recording, and the time after which its correlation is 1/e.
 
     Raises
     ------
@@ -66,6 +70,8 @@ class StagedNoise:
     size_m: float = 2000.0
     sigma_rad: float = 1e-3
     sigma_m: float = 3.0
+    slow_rad: float = 0.0
+    slow_s: float = 5.0
 
     def __post_init__(self) -> None:
         if self.motion not in get_args(Motion) or self.measured not in get_args(Measured):
@@ -194,6 +200,9 @@ def _bearings(
     level = np.hypot(away[:, 0], away[:, 1])
     azimuth, elevation = np.arctan2(away[:, 1], away[:, 0]), np.arctan2(away[:, 2], level)
     error = kind.sigma_rad * rng.standard_normal((2, count))
+    for index in range(len(places_m) if kind.slow_rad else 0):
+        own = sensor == index
+        error[:, own] += kind.slow_rad * slow_errors(rng, time_s[own], kind.slow_s)
     return Bearings(
         time_s=time_s,
         sensor=sensor,
