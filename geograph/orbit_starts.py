@@ -349,6 +349,43 @@ def _settled(
     return found
 
 
+def _deviations(
+    states: NDArray[np.float64],
+    jacobian: NDArray[np.float64],
+    place_m: NDArray[np.float64],
+    *,
+    across: NDArray[np.float64],
+    sigma: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how far directions are from states at reception, in sigmas, and derivatives.
+
+    Parameters
+    ----------
+    states, jacobian
+        Shapes (n, 6), (n, 6, k): ECEF, and derivatives by k unknowns.
+    place_m
+        Shape (n, 3): sensors.
+    across, sigma
+        Shapes (n, 2, 3), (n, 2): unit vectors across each direction, and sigmas along them.
+
+    Returns
+    -------
+    residual, derivative
+        Shapes (2 n,), (2 n, k).
+    """
+    # The object was farther back when the light left, in axes that do not turn.
+    inertial = states[:, 3:] + np.cross(_SPIN, states[:, :3])
+    delay = np.linalg.norm(states[:, :3] - place_m, axis=1) / SPEED_OF_LIGHT_M_S
+    sight = states[:, :3] - delay[:, None] * inertial - place_m
+    distance = np.linalg.norm(sight, axis=1)
+    white = 1.0 / (sigma * distance[:, None])
+    residual = np.einsum("nki,ni->nk", across, sight) * white
+    by_state = np.einsum("nki,nij->nkj", across, jacobian[:, :3]) * white[..., None]
+    by_distance = np.einsum("ni,nij->nj", sight, jacobian[:, :3]) / distance[:, None] ** 2
+    by_state -= residual[..., None] * by_distance[:, None]
+    return residual.ravel(), by_state.reshape(residual.size, -1)
+
+
 def _fitted(
     lines: Lines,
     start_s: float,
@@ -373,20 +410,10 @@ def _fitted(
         key = x.tobytes()
         if key not in kept:
             kept.clear()
+            # A trial may lead through the Earth's centre; what is not finite is told below.
             with np.errstate(all="ignore"):
-                # A trial may lead through the Earth's centre; what is not finite is told below.
                 states, jacobian = fall(x, start_s, time, forces)
-            # The object was farther back when the light left, in axes that do not turn.
-            inertial = states[:, 3:] + np.cross(_SPIN, states[:, :3])
-            delay = np.linalg.norm(states[:, :3] - place, axis=1) / SPEED_OF_LIGHT_M_S
-            sight = states[:, :3] - delay[:, None] * inertial - place
-            distance = np.linalg.norm(sight, axis=1)
-            white = 1.0 / (sigma * distance[:, None])
-            residual = np.einsum("nki,ni->nk", across, sight) * white
-            by_state = np.einsum("nki,nij->nkj", across, jacobian[:, :3]) * white[..., None]
-            by_distance = np.einsum("ni,nij->nj", sight, jacobian[:, :3]) / distance[:, None] ** 2
-            by_state -= residual[..., None] * by_distance[:, None]
-            found = residual.ravel(), by_state.reshape(-1, x.size)
+                found = _deviations(states, jacobian, place, across=across, sigma=sigma)
             if not (np.isfinite(found[0]).all() and np.isfinite(found[1]).all()):
                 found = np.full(residual.size, 1e9), np.zeros((residual.size, x.size))
             kept[key] = found
