@@ -250,8 +250,8 @@ class FirstGuess:
                 break
             candidates.append(self.fit(lines, degree, segments))
             standing = self._standing(candidates)
-            best = standing[int(np.argmin(criteria(standing)))]
-            worse = 0 if best is candidates[-1] else worse + 1
+            leading = standing[int(np.argmin(criteria(standing)))]
+            worse = 0 if leading is candidates[-1] else worse + 1
         standing = self._standing(candidates)
         scores = criteria(standing)
         best = int(np.argmin(scores))
@@ -381,4 +381,3 @@ class FirstGuess:
         value = np.einsum("nc,nc->n", lines.direction, lines.sensor_m) + self._nominal
         weight = np.full(value.size, self._pull / (self._nominal * np.median(lines.sigma[:, 0])))
         return Rows(basis, lines.direction, value, weight)
-
