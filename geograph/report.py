@@ -32,6 +32,9 @@ _FLAG_SIGMAS = 3.0
 _MISFIT = 1.5
 _MISFIT_CHANCE = 1e-4
 
+# The same for all together, of which a share that is too sure pulls the path from the others.
+_MISFIT_IN_ALL = 1.3
+
 
 def make_track(smoother: Smoother, *, seconds: float) -> Track:
     """Return the track of a finished smoother.
@@ -261,7 +264,10 @@ def _summary(
         },
         "resets": reset_facts(smoother, track),
         "hypotheses": [entry.facts(track.frame) for entry in smoother.hypotheses],
-        "flagged_sensors": [*_flagged(track), *diagnose(smoother, out)],
+        "flagged_sensors": [
+            *(_flagged(track) or _misfit_in_all(smoother, square + prior, freedom)),
+            *diagnose(smoother, out),
+        ],
         "sensors": _per_sensor(smoother, track, out),
         "motion": problem.motion.name,
         "process_noise": None if problem.motion.static else list(noise.axes),
@@ -424,6 +430,22 @@ def _misfits(track: Track) -> list[str]:
                 "sigmas, its errors or the motion model do not fit, and covariances are too small"
             )
     return sentences
+
+
+def _misfit_in_all(smoother: Smoother, chi2: float, freedom: int) -> list[str]:
+    """Say that everything together fits worse than stated, beyond chance and by much.
+
+    A loss keeps outliers, which count in full.
+    """
+    plain = smoother.settings.loss in ("auto", "gnc", "none")
+    wide = freedom > 0 and chi2 > _MISFIT_IN_ALL * freedom
+    if not (plain and wide and chi2 > float(chi_square.exceeded(_MISFIT_CHANCE, freedom))):
+        return []
+    return [
+        f"all sensors: chi-square is {chi2 / freedom:.3g} times its degrees of freedom; some sigma "
+        "is too small, some error has no prior or the motion model does not fit, and covariances "
+        "are too small"
+    ]
 
 
 def _per_sensor(

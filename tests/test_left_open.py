@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from datetime import UTC, datetime
 
 import numpy as np
@@ -176,3 +177,19 @@ def test_an_estimate_is_held_against_its_mirror_image():
     weights = [entry["weight"] for entry in track.summary["hypotheses"]]
     assert len(weights) == 2
     assert weights[0] > 0.9
+
+
+def test_one_sensor_that_is_too_sure_is_told():
+    # The path follows it, so that its own residuals are as stated, and the others' not much wider.
+    time = np.linspace(0.0, 200.0, 150)
+    recording = bearings_of(turning(time), time, STATIONS[:3], seed=0)
+    fits = gg.smooth(recording, process_noise=2.0)
+    assert fits.summary["flagged_sensors"] == []
+    sigma = np.where(recording.bearings.sensor == 1, 0.2, 1.0) * SIGMA_RAD
+    sure = dataclasses.replace(
+        recording.bearings, sigma_azimuth_rad=sigma, sigma_elevation_rad=sigma
+    )
+    track = gg.smooth(dataclasses.replace(recording, bearings=sure), process_noise=2.0)
+    assert track.summary["sensors"]["S1"]["rms_normalised"] < 2.0
+    (flagged,) = track.summary["flagged_sensors"]
+    assert flagged.startswith("all sensors: chi-square is")
