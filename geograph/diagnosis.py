@@ -106,9 +106,7 @@ def diagnose(smoother: Smoother, rejected: NDArray[np.bool_]) -> list[str]:
     for index in misfits:
         found = _explanations(smoother, rejected, index)
         if found:
-            own = _of_sensor(smoother, index)
-            what = f"{int(rejected[own].sum())} of {int(own.sum())} measurements do not fit"
-            sentences.append(_sentence(smoother, what, found))
+            sentences.append(_sentence(smoother, _complaint(smoother, rejected, index), found))
     if not misfits:
         # One sensor's error may have been spread over the states of all.
         found = [
@@ -120,6 +118,13 @@ def diagnose(smoother: Smoother, rejected: NDArray[np.bool_]) -> list[str]:
         if found:
             sentences.append(_sentence(smoother, "sensor errors are beyond their priors", found))
     return sentences
+
+
+def _complaint(smoother: Smoother, rejected: NDArray[np.bool_], index: int) -> str:
+    own = _of_sensor(smoother, index)
+    if rejected[own].any():
+        return f"{int(rejected[own].sum())} of {int(own.sum())} measurements do not fit"
+    return "residuals are far wider than stated"
 
 
 def _sentence(smoother: Smoother, what: str, found: list[_Explanation]) -> str:

@@ -20,8 +20,8 @@ from scipy.interpolate import BSpline
 
 from geograph.clock_search import ClockSearch
 from geograph.errors import InputError
-from geograph.factors.constraints import altitude
-from geograph.known_coordinates import WHOLE_TIMES, Coordinates
+from geograph.known_coordinates import Coordinates
+from geograph.known_heights import Heights
 from geograph.lines import Attempt, Lines, Rows, criteria, robust_weights, stacked, weighted_lines
 
 if TYPE_CHECKING:
@@ -38,6 +38,15 @@ if TYPE_CHECKING:
 _SUSPICIOUS_SHARE = 0.1
 _WEAK_PULL = 1e-6
 _STRONG_PULL = 1e-2
+
+# Distances below this share of the nominal one are none: the path has ended on the sensors
+# themselves. It is then pulled this much harder than noise pulls it to the sensors.
+_COLLAPSED = 2e-6
+_OVER_NOISE = 10.0
+
+# A fit stands if it misses known heights by no more than this many times their sigma and what the
+# best fit misses.
+_MOST_MISSED = 10.0
 
 RANGE_ROUNDS = 6
 _RANGE_TOLERANCE = 1e-3
@@ -101,15 +110,6 @@ class PathFit:
         return np.concatenate(blocks[:order], axis=1)
 
 
-@dataclass(frozen=True, eq=False)
-class Heights:
-    """Known heights of the path at times, each shape (n,)."""
-
-    time_s: NDArray[np.float64]
-    value: NDArray[np.float64]
-    sigma: NDArray[np.float64]
-
-
 @dataclass(eq=False)
 class FirstGuess:
     """Finds paths and clock offsets to start the smoother from.
@@ -147,26 +147,9 @@ class FirstGuess:
 
     def __post_init__(self) -> None:
         self._pull = _WEAK_PULL
-        self.heights = self._known_heights()
+        self.heights = Heights.of(self.constraints)
         self.coordinates = Coordinates.of(self.constraints)
         self._nominal = self._nominal_range()
-
-    def _known_heights(self) -> Heights | None:
-        table = self.constraints
-        if table is None:
-            return None
-        rows = np.array([kind == "altitude_m" for kind in table.kind], dtype=bool)
-        if not rows.any():
-            return None
-        time, value, sigma = table.time_s[rows], table.value[rows], table.sigma[rows]
-        whole = np.isnan(time)
-        span = np.linspace(self.bearings.time_s.min(), self.bearings.time_s.max(), WHOLE_TIMES)
-        count = int(whole.sum())
-        return Heights(
-            np.concatenate([time[~whole], np.tile(span, count)]),
-            np.concatenate([value[~whole], np.repeat(value[whole], span.size)]),
-            np.concatenate([sigma[~whole], np.repeat(sigma[whole], span.size)]),
-        )
 
     def _nominal_range(self) -> float:
         if self.geometry.frame == "ecef":
@@ -232,11 +215,15 @@ class FirstGuess:
             raise InputError("no bearing to start from; expected at least one")
         found = [self.best_fit(clock) for clock in ClockSearch(self).hypotheses()]
         found.sort(key=lambda fit: fit.score)
-        if found[0].behind > _SUSPICIOUS_SHARE:
-            # Lines know no direction: rays may meet elsewhere, or nowhere but far away.
-            self._pull = _STRONG_PULL
-            found.append(self.best_fit(found[0].clock_s))
+        collapsed = self._collapsed(found[0].range_m)
+        if collapsed or found[0].behind > _SUSPICIOUS_SHARE:
+            # Lines know no direction: rays may meet elsewhere, or nowhere but far away; and those
+            # of one place meet there.
+            noise = float(np.median(self.bearings.sigma_azimuth_rad)) if collapsed else 0.0
+            self._pull = max(_STRONG_PULL, _OVER_NOISE * noise)
+            again = self.best_fit(found[0].clock_s)
             self._pull = _WEAK_PULL
+            found = [again] if collapsed else [*found, again]
         return found
 
     def best_fit(
@@ -255,18 +242,40 @@ class FirstGuess:
         candidates: list[Attempt] = []
         worse = 0
         for degree, segments in self._flexibilities(lines):
-            scale = min((entry.scale for entry in candidates), default=np.inf)
+            standing = self._standing(candidates)
+            scale = min((entry.scale for entry in standing), default=np.inf)
             if worse >= 3 and (scale < _NO_FIT or not self.patient):
                 break
             if segments > self.most_segments and scale < _FITS:
                 break
             candidates.append(self.fit(lines, degree, segments))
-            scores = criteria(candidates)
-            worse = 0 if np.argmin(scores) == len(scores) - 1 else worse + 1
-        scores = criteria(candidates)
+            standing = self._standing(candidates)
+            leading = standing[int(np.argmin(criteria(standing)))]
+            worse = 0 if leading is candidates[-1] else worse + 1
+        standing = self._standing(candidates)
+        scores = criteria(standing)
         best = int(np.argmin(scores))
-        chosen = candidates[best]
+        chosen = standing[best]
         return PathFit(chosen.spline, clock_s, float(scores[best]), chosen.range_m, chosen.behind)
+
+    def _standing(self, candidates: list[Attempt]) -> list[Attempt]:
+        """Return the fits whose residuals mean something, or all of them.
+
+        Residuals are angles. At a sensor, or very far away, a path is off by none whatever it does.
+        """
+        found = [entry for entry in candidates if not self._collapsed(entry.range_m)]
+        heights = self.heights
+        if found and heights is not None:
+            missed = [heights.missed(entry.spline, self.geometry.frame) for entry in found]
+            found = [
+                entry
+                for entry, miss in zip(found, missed, strict=True)
+                if miss <= _MOST_MISSED * (1.0 + min(missed))
+            ]
+        return found or candidates
+
+    def _collapsed(self, range_m: float) -> bool:
+        return range_m <= _COLLAPSED * self._nominal
 
     def _thinned(self) -> NDArray[np.int64] | None:
         """Return bearings spread evenly over every sensor's, where there are more than it takes."""
@@ -360,19 +369,9 @@ class FirstGuess:
         """Solve again with coordinates, and heights linearised about the path so far."""
         parts = [self.coordinates.rows(spline)] if len(self.coordinates) else []
         if self.heights is not None:
-            parts.append(self._height_rows(spline, lines, self.heights))
+            parts.append(self.heights.rows(spline, self.geometry.frame, lines.sensor_m))
         known = stacked(parts)
         return weighted_lines(basis, lines, white, anchor, self._outward(basis, lines), known)
-
-    def _height_rows(self, spline: BSpline, lines: Lines, heights: Heights) -> Rows:
-        inside = np.clip(heights.time_s, spline.t[0], spline.t[-1])
-        at = BSpline.design_matrix(inside, spline.t, spline.k).toarray()
-        position = np.asarray(spline(inside))
-        if self.geometry.frame == "ecef" and not _plausible(position):
-            position = np.broadcast_to(lines.sensor_m.mean(axis=0), position.shape).copy()
-        height, up = altitude(position, self.geometry.frame)
-        target = np.einsum("nc,nc->n", up, position) - height + heights.value
-        return Rows(at, up, target, 1.0 / heights.sigma)
 
     def _outward(self, basis: NDArray[np.float64], lines: Lines) -> Rows:
         """Return the weak wish that the object be in front of the sensors, at a nominal distance.
@@ -382,8 +381,3 @@ class FirstGuess:
         value = np.einsum("nc,nc->n", lines.direction, lines.sensor_m) + self._nominal
         weight = np.full(value.size, self._pull / (self._nominal * np.median(lines.sigma[:, 0])))
         return Rows(basis, lines.direction, value, weight)
-
-
-def _plausible(position_m: NDArray[np.float64]) -> bool:
-    """Tell whether ECEF positions lie where heights are well defined."""
-    return bool((np.linalg.norm(position_m, axis=1) > 1e6).all())

@@ -42,6 +42,9 @@ _FEWEST_INTERVALS = 4
 # Share of the spacing within which times of emission need no knots of their own.
 _CLOSE = 0.1
 
+# Knots for fewer than four times, at most.
+_MOST_OF_FEW = 8
+
 
 @dataclass(frozen=True)
 class Resolution:
@@ -169,7 +172,8 @@ def place_knots(
     """Return knots, shape (K,), that cover the emission times.
 
     They are evenly spaced, unless an automatic spacing asks for more knots than there are distinct
-    times: then they are at those times, where nothing needs interpolation.
+    times: then they are at those times, where nothing needs interpolation, or a few where there are
+    less than four times.
 
     Parameters
     ----------
@@ -191,6 +195,10 @@ def place_knots(
         knots = _apart(distinct, _CLOSE * spacing_s)
         if knots.size >= 4:
             return _without_gaps(knots, longest_s)
+    if automatic and distinct.size < 4:
+        # So few times say nothing of what a noise, be it found or given, does between them.
+        gaps = int(np.ceil((high - low) / longest_s - 1e-9)) + 1
+        count = min(count, max(_MOST_OF_FEW, gaps))
     return np.linspace(low, high, max(count, 2))
 
 

@@ -26,6 +26,14 @@ _TRADE_OFF = 0.5
 
 # A misalignment is not determined where its sigma stays above this share of the prior's.
 _AS_BEFORE = 0.8
+_SINGULAR = "the information of the measurements is singular: some unknowns are not seen at all"
+
+# The planes of azimuth of all sensors hold their verticals, which are parallel or meet near the
+# Earth's centre: what they have in common is a vertical, too.
+_AZIMUTHS = (
+    "azimuths alone do not tell the height; add elevations, or a constraint altitude_m if the "
+    "height is known"
+)
 _BODY_AXES = ("body x (roll)", "body y (pitch)", "body z (yaw)")
 
 # Rise of the cost at one sigma along the weakest direction. A Gaussian posterior has one half; at
@@ -104,10 +112,9 @@ def weak_directions(
         minimum the cost rises on one side for other reasons.
     """
     covariance = track.position_covariance_m2
-    seen = vantage(track.problem, track.values)
-    cause = [seen.sentence] if seen is not None and seen.sentence else []
+    cause = _causes(track)
     if not np.isfinite(covariance).all():
-        return WeakDirections([_singular(track), *cause], True)
+        return WeakDirections(cause or [_SINGULAR], True)
     distance = float(np.median(distance_m))
     sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance)[:, -1], 0.0))
     best, worst = int(np.argmin(sigma)), int(np.argmax(sigma))
@@ -221,17 +228,24 @@ def _cost_rise(track: Track, system: LinearSystem, knot: int) -> float:
     return max(costs) - system.cost
 
 
-def _singular(track: Track) -> str:
-    """Say what is missing where the information could not even be inverted."""
-    used = np.unique(track.residuals.sensor)
-    sensors = list(track.recording.sensors.values())
-    if used.size == 1 and sensors[int(used[0])].trajectory is None:
-        name = track.recording.sensor_names[int(used[0])]
-        return (
-            f"{name} alone, from one place, sees directions only: the distance along its line of "
-            "sight is not determined; add a second sensor, or a constraint"
-        )
-    return "the information of the measurements is singular: some unknowns are not seen at all"
+def _causes(track: Track) -> list[str]:
+    """Say what it is about the sensors that leaves the position open, if that is known."""
+    recording = track.recording
+    if set(recording.tables) == {"bearings"} and recording.constraints is None:
+        used = np.unique(track.residuals.sensor).tolist()
+        sensors = [list(recording.sensors.values())[index] for index in used]
+        falls = track.problem.motion.ballistic
+        if len(used) == 1 and sensors[0].trajectory is None and not falls:
+            return [
+                f"{sensors[0].name} alone, from one place, sees directions only: the distance "
+                "along its line of sight is not determined; add a second sensor, or a constraint"
+            ]
+        assert recording.bearings is not None
+        upright = all(sensor.axes in ("enu", "xyz") for sensor in sensors)
+        if upright and np.isnan(recording.bearings.elevation_rad).all():
+            return [_AZIMUTHS]
+    seen = vantage(track.problem, track.values)
+    return [seen.sentence] if seen is not None and seen.sentence else []
 
 
 def _sentences(track: Track, knot: int, where: str, limit_m: float) -> list[str]:

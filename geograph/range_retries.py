@@ -4,7 +4,8 @@ First guesses take the errors of clocks for white noise. Where those errors are 
 cannot tell a path from its mirror image behind the plane of the sensors, or is nowhere near; the
 solver, to which they are constants, ends in a minimum that leaves residuals far outside. Then the
 mirror image of that minimum is tried, and, where the clocks are as loose as the sensors are apart,
-straight paths through and past them.
+straight paths through and past them. An estimate that does fit may be the mirror image of the
+truth, too, where the sensors are nearly in a plane: it is held against its own.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
+from geograph.families import Values
 from geograph.initialise import PathFit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from geograph.prepare import Prepared
+    from geograph.problem import Problem
     from geograph.rivals import Attempt
 
 _FEWEST_SENSORS = 3
@@ -53,11 +56,9 @@ def further_fits(prepared: Prepared, attempt: Attempt, *, misfit: bool) -> list[
     places = _places(prepared)
     if set(prepared.recording.tables) <= {"bearings"} or len(places) < _FEWEST_SENSORS:
         return []
-    middle = places.mean(axis=0)
-    _, spread, axes = np.linalg.svd(places - middle, full_matrices=True)
-    spread = np.append(spread, np.zeros(3 - spread.size))
+    middle, axes, flat = _plane(places)
     found = []
-    if misfit and spread[1] > 0.0 and spread[2] < _THICK * spread[1]:
+    if misfit and flat:
         mirror = _mirrored(attempt, middle, axes[2])
         found += [] if mirror is None else [mirror]
     radius = float(np.linalg.norm(places - middle, axis=1).mean())
@@ -65,6 +66,50 @@ def further_fits(prepared: Prepared, attempt: Attempt, *, misfit: bool) -> list[
     if np.median(clocks) * prepared.recording.propagation_speed_m_s > _LOOSE * radius > 0.0:
         found += _straight(prepared, middle, axes, radius)
     return found
+
+
+def mirror_image(prepared: Prepared, problem: Problem, values: Values) -> Values | None:
+    """Return an estimate with its path mirrored in the plane of the sensors.
+
+    Parameters
+    ----------
+    prepared
+        The recording.
+    problem, values
+        The estimate.
+
+    Returns
+    -------
+    image
+        None where that would be no rival: with bearings, constraints or gravity, which tell the
+        sides apart, or with fewer than three sensors, or none in a plane.
+    """
+    recording = prepared.recording
+    told = recording.bearings is not None or recording.constraints is not None
+    if told or problem.motion.ballistic:
+        return None
+    places = _places(prepared)
+    if len(places) < _FEWEST_SENSORS:
+        return None
+    middle, axes, flat = _plane(places)
+    if not flat:
+        return None
+    normal = axes[2]
+    path = values.path.copy()
+    path[:, :3] -= middle
+    for block in range(0, 3 * problem.motion.order, 3):
+        own = path[:, block : block + 3]
+        own -= 2.0 * (own @ normal)[:, None] * normal
+    path[:, :3] += middle
+    return Values(path, values.walks, values.constants)
+
+
+def _plane(places_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    """Return the middle of places, their principal axes in rows, and whether they are flat."""
+    middle = places_m.mean(axis=0)
+    _, spread, axes = np.linalg.svd(places_m - middle, full_matrices=True)
+    spread = np.append(spread, np.zeros(3 - spread.size))
+    return middle, axes, bool(spread[1] > 0.0 and spread[2] < _THICK * spread[1])
 
 
 def _active(prepared: Prepared) -> NDArray[np.int64]:

@@ -32,6 +32,9 @@ _FLAG_SIGMAS = 3.0
 _MISFIT = 1.5
 _MISFIT_CHANCE = 1e-4
 
+# The same for all together, of which a share that is too sure pulls the path from the others.
+_MISFIT_IN_ALL = 1.3
+
 
 def make_track(smoother: Smoother, *, seconds: float) -> Track:
     """Return the track of a finished smoother.
@@ -241,6 +244,7 @@ def _summary(
     free = 3 * problem.motion.order + 6 * len(problem.states.platforms)
     freedom = max(problem.measurement_rows - lost - free, 0)
     noise = problem.motion.density
+    told = [*_flagged(track), *_misfits(smoother, track, out), *_correlated(smoother, out)]
     return {
         "name": track.recording.name,
         "status": str(status),
@@ -262,9 +266,7 @@ def _summary(
         "resets": reset_facts(smoother, track),
         "hypotheses": [entry.facts(track.frame) for entry in smoother.hypotheses],
         "flagged_sensors": [
-            *_flagged(track),
-            *_misfits(smoother, track, out),
-            *_correlated(smoother, out),
+            *(told or _misfit_in_all(smoother, square + prior, freedom)),
             *diagnose(smoother, out),
         ],
         "sensors": _per_sensor(smoother, track, out),
@@ -449,6 +451,22 @@ def _correlated(smoother: Smoother, out: NDArray[np.bool_]) -> list[str]:
                 f"{worth:.3g} independent ones"
             )
     return sentences
+
+
+def _misfit_in_all(smoother: Smoother, chi2: float, freedom: int) -> list[str]:
+    """Say that everything together fits worse than stated, beyond chance and by much.
+
+    A loss keeps outliers, which count in full.
+    """
+    plain = smoother.settings.loss in ("auto", "gnc", "none")
+    wide = freedom > 0 and chi2 > _MISFIT_IN_ALL * freedom
+    if not (plain and wide and chi2 > float(chi_square.exceeded(_MISFIT_CHANCE, freedom))):
+        return []
+    return [
+        f"all sensors: chi-square is {chi2 / freedom:.3g} times its degrees of freedom; some sigma "
+        "is too small, some error has no prior or the motion model does not fit, and covariances "
+        "are too small"
+    ]
 
 
 def _per_sensor(

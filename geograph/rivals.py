@@ -88,9 +88,9 @@ class Rival:
 
 
 def find_rivals(
-    problem: Problem, solution: Solution, attempts: list[Attempt]
+    problem: Problem, solution: Solution, starts: list[Values]
 ) -> tuple[Solution, list[Rival], list[Hypothesis]]:
-    """Return the best solution among all attempts, and the others that the data do not rule out.
+    """Return the best solution from all starts, and the others that the data do not rule out.
 
     Last come all that were found, with their weights, the best first; those that end on ground
     whose height is not known are not among them.
@@ -99,15 +99,12 @@ def find_rivals(
     ----------
     problem, solution
         The final problem and its solution.
-    attempts
-        What all first guesses led to.
+    starts
+        Where else to start from.
     """
     found = [solution]
-    for attempt in attempts:
-        if not np.isfinite(attempt.solution.values.path).all():
-            continue
-        start = read_attempt(attempt, problem)
-        if not _separate(problem, solution, start):
+    for start in starts:
+        if not np.isfinite(start.path).all() or not _separate(problem, solution, start):
             continue
         other = solve(problem, start, max_iterations=_ITERATIONS)
         known = (_separate(problem, entry, other.values) for entry in found)

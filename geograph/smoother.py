@@ -21,10 +21,10 @@ from geograph.losses import Loss
 from geograph.orbit_forces import forces_of
 from geograph.prepare import Prepared, prepare
 from geograph.problem import Problem
-from geograph.range_retries import further_fits
+from geograph.range_retries import further_fits, mirror_image
 from geograph.report import make_track
 from geograph.resets import Resets, find_resets, searched
-from geograph.rivals import Attempt, Rival, find_rivals
+from geograph.rivals import Attempt, Rival, find_rivals, read_attempt
 from geograph.robust import anneal, thresholds
 from geograph.softened import NARROW, softened, width
 from geograph.solver import Solution, Status, solve
@@ -225,12 +225,13 @@ class Smoother:
         self._settle()
 
     def _compare(self) -> None:
-        """Hold the estimate against what the other first guesses led to."""
-        if self.solution.status is not Status.CONVERGED or len(self.attempts) < 2:
+        """Hold the estimate against what other first guesses led to, and its mirror image."""
+        if self.solution.status is not Status.CONVERGED:
             return
-        best, self.rivals, self.hypotheses = find_rivals(
-            self.problem, self.solution, self.attempts[1:]
-        )
+        starts = [read_attempt(attempt, self.problem) for attempt in self.attempts[1:]]
+        image = mirror_image(self.prepared, self.problem, self.solution.values)
+        starts += [] if image is None else [image]
+        best, self.rivals, self.hypotheses = find_rivals(self.problem, self.solution, starts)
         if best is not self.solution:
             self.iterations += best.iterations
             self.solution = best

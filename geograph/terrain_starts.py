@@ -17,7 +17,8 @@ from geograph.errors import InputError
 from geograph.factors.constraints import altitude
 from geograph.geodesy import enu_axes
 from geograph.ground import crossings, on_ground
-from geograph.initialise import Heights, PathFit
+from geograph.initialise import PathFit
+from geograph.known_heights import Heights
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

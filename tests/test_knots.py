@@ -88,6 +88,13 @@ def test_one_instant_still_has_an_interval():
     assert knots[0] == 3.0
 
 
+def test_few_times_have_few_knots_however_large_the_noise():
+    # A single emission with a noise that nothing holds asked for 48 000.
+    assert place_knots(np.array([3.0]), 1e-5, automatic=True).size == 8
+    assert place_knots(np.array([0.0, 1.0, 600.0]), 1e-5, automatic=True, longest_s=60.0).size == 11
+    assert place_knots(np.array([0.0, 1.0]), 0.1, automatic=False).size == 11
+
+
 def test_memory():
     check_memory(1000.0, 60, 0.1)
     with pytest.raises(InputError, match=r"1e-06 s gives 1e\+12 knots.*widen spacing_s") as caught:
