@@ -263,7 +263,10 @@ def test_one_sensor_that_stands_still_observes_no_distance():
     columns = {name: column[only] for name, column in vars(recording.bearings).items()}
     found = bound(replace(recording, bearings=gg.Bearings(**columns)))
     assert not found.observable
-    assert len(found.weakly_observed) == 1
+    # The direction, and why.
+    direction, reason = found.weakly_observed
+    assert "weakly determined" in direction
+    assert "the distance along its line of sight is not determined" in reason
 
 
 def test_a_signal_gives_the_sigmas():
