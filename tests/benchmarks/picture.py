@@ -11,14 +11,18 @@ from report import OURS, Results, at_minimum
 if TYPE_CHECKING:
     from pathlib import Path
 
-_COLOURS = ("#4477aa", "#66ccee", "#228833", "#ccbb44", "#ee8866", "#aa3377", "#bbbbbb", "#775533")
+_COLOURS = ("#4477aa", "#66ccee", "#228833", "#ccbb44", "#ee8866", "#aa3377", "#bbbbbb", "#775533",
+            "#ddaacc")  # fmt: skip
 
 
 def draw(results: Results, path: Path) -> None:
     """Draw solve and marginals of all contestants, a group of bars a size."""
     from matplotlib.figure import Figure
 
-    sizes = [size for size, entries in results.items() if len(entries) > 1]
+    # What nobody else was asked to solve is no comparison.
+    sizes = [
+        s for s in results if sum(_bar(results, s, name) is not None for name in CONTESTANTS) > 1
+    ]
     names = [name for name in CONTESTANTS if any(_bar(results, s, name) for s in sizes)]
     if not names:
         return
