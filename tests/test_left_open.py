@@ -147,8 +147,11 @@ def test_one_sensor_that_is_too_sure_does_not_draw_the_path_onto_itself(seed):
     assert np.median(np.linalg.norm(track.at(time).position_m - truth, axis=1)) < 300.0
 
 
-def arrivals_of(seed):
-    """Return a recording of a curved flight by a nearly flat array, and the path's function."""
+def arrivals_of(seed, *, last_prior_s=20e-6):
+    """Return a recording of a curved flight by a nearly flat array, and the path's function.
+
+    The last clock is off by 10 microseconds.
+    """
     rng = np.random.default_rng(seed)
     places = np.array(
         [
@@ -181,7 +184,7 @@ def arrivals_of(seed):
         sigma_s=np.full(emission.size, 50e-9),
         line=np.arange(emission.size) + 2,
     )
-    prior = [0.0, 100e-9, 100e-9, 100e-9, 20e-6]
+    prior = [0.0, 100e-9, 100e-9, 100e-9, last_prior_s]
     sensors = {
         f"S{i}": Sensor(
             name=f"S{i}", position_m=place, axes="xyz", errors=SensorErrors(clock_offset_s=prior[i])
