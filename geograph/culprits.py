@@ -26,14 +26,14 @@ _LEFT_OUT = 0.9
 
 # Another one could be wrong as well where the cost, less what chance gives to more or fewer
 # measurements, is not above this: three sigmas.
-_RISE = 4.5
-_MOST_SENSORS = 12
-_STARTS = 3
-_ITERATIONS = 60
+RISE = 4.5
+MOST_SENSORS = 12
+STARTS = 3
+ITERATIONS = 60
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
+class Trial:
     """What came of leaving out one sensor; the cost is less what chance gives to its rows."""
 
     sensors: tuple[int, ...]
@@ -43,6 +43,7 @@ class _Trial:
 
     @property
     def cost(self) -> float:
+        """Cost of the solution, and what chance gives to the measurements left out."""
         return self.solution.cost + 0.5 * int(self.rejected.sum())
 
 
@@ -58,22 +59,22 @@ def other_culprits(smoother: Smoother) -> str | None:
     """
     if smoother.solution.status is not Status.CONVERGED or not smoother.rejected.any():
         return None
-    own = _own(smoother)
+    own = own_measurements(smoother)
     lost = [i for i, mine in own.items() if smoother.rejected[mine].mean() >= _LEFT_OUT]
-    if not lost or len(own) > _MOST_SENSORS:
+    if not lost or len(own) > MOST_SENSORS:
         return None
-    now = _Trial(tuple(lost), smoother.rejected, smoother.problem, smoother.solution)
+    now = Trial(tuple(lost), smoother.rejected, smoother.problem, smoother.solution)
     tried = [_without(smoother, own, lost, other) for other in own if [other] != lost]
     trials = sorted([now, *(one for one in tried if one is not None)], key=lambda one: one.cost)
     best = trials[0]
-    if best.cost < now.cost - _RISE:
+    if best.cost < now.cost - RISE:
         smoother.adopt(best.problem, best.solution, best.rejected)
     else:
         best = now
     names = smoother.prepared.recording.sensor_names
     said = [" and ".join(names[i] for i in one.sensors) for one in trials]
     others = [text for text, one in zip(said, trials, strict=True)
-              if one is not best and one.cost <= best.cost + _RISE]  # fmt: skip
+              if one is not best and one.cost <= best.cost + RISE]  # fmt: skip
     if not others:
         return None
     return (
@@ -83,7 +84,7 @@ def other_culprits(smoother: Smoother) -> str | None:
     )
 
 
-def _own(smoother: Smoother) -> dict[int, NDArray[np.bool_]]:
+def own_measurements(smoother: Smoother) -> dict[int, NDArray[np.bool_]]:
     """Return which measurements each sensor made, shape (n,), references not counted."""
     sensor = np.concatenate([family.sensor for family in smoother.families])
     return {int(i): sensor == i for i in np.unique(sensor)}
@@ -91,7 +92,7 @@ def _own(smoother: Smoother) -> dict[int, NDArray[np.bool_]]:
 
 def _without(
     smoother: Smoother, own: dict[int, NDArray[np.bool_]], lost: list[int], other: int
-) -> _Trial | None:
+) -> Trial | None:
     """Put sensors back and leave out another one; None if that leads nowhere."""
     back = np.any([own[i] for i in lost], axis=0)
     out = smoother.rejected & ~back | own[other]
@@ -100,10 +101,10 @@ def _without(
     weights = smoother.weights((~out).astype(np.float64))
     problem = smoother.problem.with_weights(weights, smoother.problem.loss)
     starts = [smoother.solution.values]
-    starts += [read_attempt(attempt, problem) for attempt in smoother.attempts[:_STARTS]]
+    starts += [read_attempt(attempt, problem) for attempt in smoother.attempts[:STARTS]]
     starts = [start for start in starts if np.isfinite(start.path).all()]
-    found = [solve(problem, start, max_iterations=_ITERATIONS) for start in starts]
+    found = [solve(problem, start, max_iterations=ITERATIONS) for start in starts]
     found = [one for one in found if one.status is Status.CONVERGED]
     if not found:
         return None
-    return _Trial((other,), out, problem, min(found, key=lambda one: one.cost))
+    return Trial((other,), out, problem, min(found, key=lambda one: one.cost))

@@ -107,6 +107,10 @@ def diagnose(smoother: Smoother, rejected: NDArray[np.bool_]) -> list[str]:
         found = _explanations(smoother, rejected, index)
         if found:
             sentences.append(_sentence(smoother, _complaint(smoother, rejected, index), found))
+        elif rejected[_of_sensor(smoother, index)].all():
+            name = smoother.prepared.recording.sensor_names[index]
+            what = _complaint(smoother, rejected, index)
+            sentences.append(f"{name}: {what}, and no single error of it explains them")
     if not misfits:
         # One sensor's error may have been spread over the states of all.
         found = [

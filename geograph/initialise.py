@@ -88,6 +88,8 @@ class PathFit:
         Median distance from the sensors.
     behind
         Share of the measurements that have the object behind the sensor.
+    nearest_m
+        Median distance from the sensor that is nearest, where lines were fitted.
     """
 
     spline: BSpline
@@ -95,6 +97,7 @@ class PathFit:
     score: float
     range_m: float
     behind: float
+    nearest_m: float = float("inf")
 
     def state(self, time_s: NDArray[np.float64], order: int) -> NDArray[np.float64]:
         """Return position and its derivatives up to order - 1, shape (n, 3 order), SI units.
@@ -215,10 +218,10 @@ class FirstGuess:
             raise InputError("no bearing to start from; expected at least one")
         found = [self.best_fit(clock) for clock in ClockSearch(self).hypotheses()]
         found.sort(key=lambda fit: fit.score)
-        collapsed = self._collapsed(found[0].range_m)
+        collapsed = self._collapsed(found[0].nearest_m)
         if collapsed or found[0].behind > _SUSPICIOUS_SHARE:
             # Lines know no direction: rays may meet elsewhere, or nowhere but far away; and those
-            # of one place meet there.
+            # of one place meet there, which wins where that place's sigmas are far the smallest.
             noise = float(np.median(self.bearings.sigma_azimuth_rad)) if collapsed else 0.0
             self._pull = max(_STRONG_PULL, _OVER_NOISE * noise)
             again = self.best_fit(found[0].clock_s)
@@ -256,14 +259,21 @@ class FirstGuess:
         scores = criteria(standing)
         best = int(np.argmin(scores))
         chosen = standing[best]
-        return PathFit(chosen.spline, clock_s, float(scores[best]), chosen.range_m, chosen.behind)
+        return PathFit(
+            chosen.spline,
+            clock_s,
+            float(scores[best]),
+            chosen.range_m,
+            chosen.behind,
+            chosen.nearest_m,
+        )
 
     def _standing(self, candidates: list[Attempt]) -> list[Attempt]:
         """Return the fits whose residuals mean something, or all of them.
 
         Residuals are angles. At a sensor, or very far away, a path is off by none whatever it does.
         """
-        found = [entry for entry in candidates if not self._collapsed(entry.range_m)]
+        found = [entry for entry in candidates if not self._collapsed(entry.nearest_m)]
         heights = self.heights
         if found and heights is not None:
             missed = [heights.missed(entry.spline, self.geometry.frame) for entry in found]
@@ -274,8 +284,8 @@ class FirstGuess:
             ]
         return found or candidates
 
-    def _collapsed(self, range_m: float) -> bool:
-        return range_m <= _COLLAPSED * self._nominal
+    def _collapsed(self, nearest_m: float) -> bool:
+        return nearest_m <= _COLLAPSED * self._nominal
 
     def _thinned(self) -> NDArray[np.int64] | None:
         """Return bearings spread evenly over every sensor's, where there are more than it takes."""
@@ -349,6 +359,7 @@ class FirstGuess:
             float(np.mean(along[~lines.azimuth_only] < 0.0))
             if not lines.azimuth_only.all()
             else 0.0,
+            min(float(np.median(distance[lines.sensor == i])) for i in np.unique(lines.sensor)),
         )
 
     def _anchor(self, lines: Lines) -> NDArray[np.float64]:

@@ -106,6 +106,8 @@ class Attempt:
         Median distance from the sensors.
     behind
         Share of the measurements with the object behind the sensor.
+    nearest_m
+        Median distance from the sensor that is nearest, where that was asked for.
     """
 
     spline: BSpline
@@ -113,6 +115,7 @@ class Attempt:
     coefficients: int
     range_m: float
     behind: float
+    nearest_m: float = float("inf")
 
     @cached_property
     def scale(self) -> float:

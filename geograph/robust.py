@@ -30,7 +30,7 @@ _LEAST_CONTROL = 0.1
 _SCALE_ROUNDS = 10
 
 # Ratio of variances beyond which a sensor is wrong rather than noisy: ten times as wide as most.
-_WRONG = 100.0
+WRONG = 100.0
 
 
 def thresholds(
@@ -85,7 +85,7 @@ def sensor_scales(
             scales[index] = max(1.0, float(np.median(own)))
     # The lower median: with two sensors the better one is the measure.
     typical = float(np.sort(scales)[(count - 1) // 2]) if count else 1.0
-    scales[scales > _WRONG * typical] = typical
+    scales[scales > WRONG * typical] = typical
     return scales
 
 

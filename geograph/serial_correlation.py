@@ -32,6 +32,9 @@ FALSE_ALARM = 1e-3
 _LEAST = 32
 # Fewer blocks than these do not tell a variance.
 _BLOCKS = 8
+# Errors that alternate add up to next to nothing, and by an estimate to less: no less than this
+# share of their variance, for it is the logarithm that is compared.
+_ALTERNATING = 0.1
 
 
 def inflations(
@@ -151,4 +154,5 @@ def long_run_variance(series: NDArray[np.float64]) -> tuple[float, int]:
     pairs = covariance.reshape(-1, 2).sum(axis=1)
     ends = np.flatnonzero(pairs <= 0.0)
     pairs = np.minimum.accumulate(pairs[: ends[0]] if ends.size else pairs)
-    return float(2.0 * pairs.sum() - covariance[0]), 2 * pairs.size - 1
+    total = max(2.0 * pairs.sum() - covariance[0], _ALTERNATING * covariance[0])
+    return float(total), 2 * pairs.size - 1

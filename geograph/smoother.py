@@ -31,6 +31,7 @@ from geograph.solver import Solution, Status, solve
 from geograph.starts import choose_knots, first_fits, prior_width, start
 from geograph.threads import single_blas_thread
 from geograph.tuning import solved_evidence, tune, tune_noise
+from geograph.wrong_sensor import leave_out_wrong_sensor
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -177,6 +178,9 @@ class Smoother:
         if find_resets(self) and self.robust:
             self._reject(trial)
         self._settle()
+        if leave_out_wrong_sensor(self):
+            tune(self)
+            self._settle()
         self._compare()
         self.culprits = other_culprits(self)
 

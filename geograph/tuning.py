@@ -39,6 +39,9 @@ _ROUNDS = 4
 _RATIO = np.log(1e4)
 _SETTLED = 0.1
 
+# Negative evidence of a noise at which there is none. Searches take differences: it is finite.
+_IMPOSSIBLE = 1e100
+
 
 @dataclass(frozen=True, eq=False)
 class _Kept:
@@ -138,6 +141,7 @@ def tune_noise(smoother: Smoother, decades: float) -> None:
         How far to search either way.
     """
     least = _least(smoother)
+    good = _Kept.of(smoother)
     for _ in range(3):
         centre = smoother.problem.motion.density.axes[0]
         low = np.log(max(centre * 10.0**-decades, least))
@@ -150,6 +154,12 @@ def tune_noise(smoother: Smoother, decades: float) -> None:
         )
         noise = float(np.exp(best.x))
         _adopt(smoother, _alike(smoother, noise), smoother.problem.stages)
+        if smoother.solution.status is Status.CONVERGED:
+            good = _Kept.of(smoother)
+        elif smoother.solution.status is Status.DIVERGED:
+            # The evidence was that of a rougher solve: back to the best noise that has a path.
+            good.restore(smoother)
+            break
         if 0.5 < noise / centre < 2.0:
             break
         decades = min(decades, 2.0)
@@ -163,7 +173,11 @@ def _negative_evidence(smoother: Smoother, log_noise: float) -> float:
     found = solved_evidence(solution)
     if np.isfinite(found) and solution.status is Status.CONVERGED:
         smoother.solution = solution
-    return -found
+    if np.isfinite(found):
+        return -found
+    # Nothing is determined at this noise, and more so farther away from one that stands.
+    away = abs(log_noise - float(np.log(smoother.problem.motion.density.axes[0])))
+    return _IMPOSSIBLE * (1.0 + away)
 
 
 def _alike(smoother: Smoother, noise: float) -> Motion:
@@ -231,20 +245,24 @@ class _Directional:
     def __call__(self, point: NDArray[np.float64]) -> float:
         """Return the negative evidence."""
         if point.min() < self.low or abs(point[1] - point[0]) > _RATIO:
-            return float("inf")
+            return _IMPOSSIBLE
         changed = self.problem.with_motion(self.motion(point))
-        return -log_evidence(changed.with_transitions(self.system, self.values))[0]
+        found = log_evidence(changed.with_transitions(self.system, self.values))[0]
+        return min(-found, _IMPOSSIBLE)
 
     def promises(self, gain: float) -> bool:
         """Tell whether another ratio at the same product of all three raises the evidence."""
         turn = np.array([-1.0, 2.0]) / 3.0
+        present = self(self.point)
+        if present >= _IMPOSSIBLE:
+            return False
         found = minimize_scalar(
-            lambda ratio: min(self(self.point + ratio * turn), 1e300),
+            lambda ratio: self(self.point + ratio * turn),
             bounds=(-0.7 * _RATIO, 0.7 * _RATIO),
             method="bounded",
             options={"xatol": 0.2, "maxiter": 25},
         )
-        rise = self(self.point) - float(found.fun)
+        rise = present - float(found.fun)
         self.point = self.point + float(found.x) * turn if rise > gain else self.point
         return rise > gain
 

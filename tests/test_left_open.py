@@ -123,8 +123,35 @@ def test_one_place_does_not_put_the_object_on_itself(motion):
     assert (away > 1e3).all()
 
 
-def arrivals_of(seed):
-    """Return a recording of a curved flight by a nearly flat array, and the path's function."""
+def sure_of_itself(recording, share):
+    """Return a recording of bearings whose second sensor states a share of its sigma."""
+    sigma = np.where(recording.bearings.sensor == 1, share, 1.0) * SIGMA_RAD
+    table = dataclasses.replace(
+        recording.bearings, sigma_azimuth_rad=sigma, sigma_elevation_rad=sigma
+    )
+    return dataclasses.replace(recording, bearings=table)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_one_sensor_that_is_too_sure_does_not_draw_the_path_onto_itself(seed):
+    # All its lines meet there, and those of the others are worth a 600th of them.
+    time = np.linspace(0.0, 200.0, 150)
+    truth = turning(time)
+    recording = sure_of_itself(bearings_of(truth, time, STATIONS[:3], seed=seed), 0.04)
+    ready = prepare(recording)
+    finder = FirstGuess(ready.bearings, None, ready.sensors, ready.geometry, np.inf, False)
+    (fit,) = finder.fits()
+    # A bearing tells 80 m across the line of sight.
+    assert np.median(np.linalg.norm(fit.spline(time) - truth, axis=1)) < 300.0
+    track = gg.smooth(recording)
+    assert np.median(np.linalg.norm(track.at(time).position_m - truth, axis=1)) < 300.0
+
+
+def arrivals_of(seed, *, last_prior_s=20e-6):
+    """Return a recording of a curved flight by a nearly flat array, and the path's function.
+
+    The last clock is off by 10 microseconds.
+    """
     rng = np.random.default_rng(seed)
     places = np.array(
         [
@@ -157,7 +184,7 @@ def arrivals_of(seed):
         sigma_s=np.full(emission.size, 50e-9),
         line=np.arange(emission.size) + 2,
     )
-    prior = [0.0, 100e-9, 100e-9, 100e-9, 20e-6]
+    prior = [0.0, 100e-9, 100e-9, 100e-9, last_prior_s]
     sensors = {
         f"S{i}": Sensor(
             name=f"S{i}", position_m=place, axes="xyz", errors=SensorErrors(clock_offset_s=prior[i])
@@ -185,11 +212,7 @@ def test_one_sensor_that_is_too_sure_is_told():
     recording = bearings_of(turning(time), time, STATIONS[:3], seed=0)
     fits = gg.smooth(recording, process_noise=2.0)
     assert fits.summary["flagged_sensors"] == []
-    sigma = np.where(recording.bearings.sensor == 1, 0.2, 1.0) * SIGMA_RAD
-    sure = dataclasses.replace(
-        recording.bearings, sigma_azimuth_rad=sigma, sigma_elevation_rad=sigma
-    )
-    track = gg.smooth(dataclasses.replace(recording, bearings=sure), process_noise=2.0)
+    track = gg.smooth(sure_of_itself(recording, 0.2), process_noise=2.0)
     assert track.summary["sensors"]["S1"]["rms_normalised"] < 2.0
     (flagged,) = track.summary["flagged_sensors"]
     assert flagged.startswith("all sensors: chi-square is")

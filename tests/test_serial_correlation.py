@@ -50,6 +50,18 @@ def test_slow_errors_count_as_few():
     np.testing.assert_allclose(halved, np.maximum(0.5 * inflation_of(series[:2000], white), 1.0))
 
 
+def test_errors_that_alternate_count_in_full_and_spoil_no_others():
+    # Neighbours that cancel: the sum over all lags is estimated as less than nothing.
+    rng = np.random.default_rng(4)
+    alternating = np.tile([[1.0], [-1.0]], (100, 2)) + 0.1 * rng.standard_normal((200, 2))
+    time = np.arange(400.0)
+    slow = rng.standard_normal((400, 2)) + 2.0 * slow_errors(rng, time, 8.0).T
+    assert long_run_variance(alternating)[0] > 0.0
+    found = inflation_of(alternating, slow)
+    assert found[0] == 1.0
+    assert found[1] > 5.0
+
+
 def test_estimates_are_drawn_to_their_mean_as_far_as_their_errors_explain_them():
     rng = np.random.default_rng(3)
     true = rng.normal(2.0, 1.0, 4000)

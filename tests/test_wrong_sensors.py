@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from made_receivers import late, moved, world
+from test_left_open import arrivals_of
 
 import geograph as gg
 from geograph.scenarios.sound import Microphones, microphones_world
@@ -24,6 +25,20 @@ def test_one_wrong_sensor_of_seven_is_named_and_does_no_harm(wrong):
     assert [text.split(":")[0] for text in flagged] == [name]
     assert "clock offset" in flagged[0]
     assert "position error" in flagged[0]
+
+
+def test_one_wrong_clock_of_five_is_left_out_as_a_whole_along_a_path():
+    # A hundred times its prior. Before it was rejected by half, and drew the path 6.7 km off.
+    recording, path = arrivals_of(1, last_prior_s=100e-9)
+    track = gg.smooth(recording, process_noise=0.3)
+    # The sigma is 150 m without it.
+    assert np.median(np.linalg.norm(track.position_m - path(track.time_s), axis=1)) < 500.0
+    sensors = track.summary["sensors"]
+    lost = [entry["rejected"] / entry["measurements"] for entry in sensors.values()]
+    assert lost[4] == 1.0
+    assert max(lost[:4]) < 0.1
+    flagged = track.summary["flagged_sensors"]
+    assert [text.split(":")[0] for text in flagged] == [recording.sensor_names[4]]
 
 
 def test_with_five_sensors_it_is_said_that_another_one_could_be_wrong():
