@@ -12,7 +12,7 @@ from geograph.families import Values
 from geograph.incremental.chain import Chain, Piece
 from geograph.incremental.model import Model
 from geograph.incremental.rows import CONSTRAINTS, FIXES, TABLES, join, numbered, numbered_table
-from geograph.knots import NEGLIGIBLE, automatic_spacing, ignored_share
+from geograph.knots import NEGLIGIBLE, automatic_spacing, ignored_share, thinned
 from geograph.measurements import Constraints
 from geograph.motion import Density, Motion
 from geograph.prepare import prepare
@@ -400,7 +400,10 @@ def _at_minimum(problem: Problem, values: Values) -> bool:
 def stretched(
     model: Model, chain: Chain, low_s: float, high_s: float
 ) -> tuple[NDArray[np.float64], Values]:
-    """Return knots that reach from ``low_s`` to ``high_s``, and the estimate carried on to them."""
+    """Return knots that reach from ``low_s`` to ``high_s``, and the estimate carried on to them.
+
+    Without those that are too near to one another, as the newest may be to the one before.
+    """
     held = np.array(chain.knots_s)
     values = chain.values(0, held.size - 1)
     if model.motion.static:
@@ -414,6 +417,8 @@ def stretched(
         count = max(int(np.ceil((high_s - held[-1]) / model.spacing_s)), 1)
         parts.append(np.linspace(held[-1], high_s, count + 1)[1:])
     knots = np.concatenate(parts)
+    if not model.motion.static:
+        knots = thinned(knots, model.spacing_s, model.motion.longest_step_s)
     path = model.motion.read(model.motion.path(held), values.path, knots)
     chains = [np.interp(knots, held, column) for column in values.walks.T]
     walks = np.stack(chains, axis=1) if chains else np.zeros((knots.size, 0))
