@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from geograph.knots import Resolution
     from geograph.recording import Recording, SmoothSettings
     from geograph.rivals import Attempt
+    from geograph.track import Track
 
 
 # Predicted decrease of the cost that a solve may leave: 0.03 posterior sigmas from the minimum.
@@ -144,8 +145,22 @@ def begin(
         knots = np.array([times.min(), max(times.max(), times.min() + 1e-3)])
         values = Values(np.repeat(values.path, 2, axis=0), np.zeros((2, 0)), values.constants)
     fixes = fixes_between(model, *recording.time_span_s)
-    chain = make_chain(model, knots, values, join([rows, fixes]) if fixes else rows)
+    try:
+        chain = make_chain(model, knots, values, join([rows, fixes]) if fixes else rows)
+    except NotPositiveDefiniteError as error:
+        raise NotStartedError(_undetermined(track)) from error
     return Started(model, chain, smoother.attempts, smoother.resolution)
+
+
+def _undetermined(track: Track) -> str:
+    """Say what a path leaves open that a batch just determines, and a feed does not."""
+    weak = [str(sentence) for sentence in track.summary["weakly_observed"]]
+    sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(track.position_covariance_m2)[:, -1])))
+    what = "; ".join(weak) or f"the 1-sigma of a position is up to {sigma:.3g} m"
+    return (
+        f"the measurements so far determine the path to no working precision ({what}); more of "
+        "them, another sensor or a constraint on the height would"
+    )
 
 
 def _enough(recording: Recording, settings: SmoothSettings) -> None:
