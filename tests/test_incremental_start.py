@@ -49,7 +49,7 @@ def test_a_start_that_cannot_be_made_again_loses_nothing(monkeypatch, caplog):
     assert smoother.estimate.status is gg.Tracking.TRACKING
     calls = []
 
-    def none(*arguments):
+    def none(*_):
         calls.append(0)
         raise NotStartedError("there are two paths")
 
@@ -82,7 +82,7 @@ def test_no_reason_is_empty(monkeypatch, error, message):
     recording = small_pass(1)
     smoother = feeding.feed(gg.IncrementalSmoother.of(recording), recording, every=60)
 
-    def broken(*arguments):
+    def broken(*_):
         raise error
 
     monkeypatch.setattr("geograph.incremental.smoother.finished", broken)
