@@ -21,7 +21,7 @@ ConstraintKind = Literal["altitude_m", "height_above_terrain_m", "speed_m_s", "x
 
 # What columns hold whose values are not real numbers, and the codes of NumPy's types for it.
 _HELD = {
-    **dict.fromkeys(("sensor", "reference", "emission", "line"), ("iu", "whole numbers")),
+    **dict.fromkeys(("sensor", "reference", "emission"), ("iu", "whole numbers")),
     "isotropic": ("b", "True or False"),
 }
 

@@ -33,6 +33,8 @@ from geograph.threads import single_blas_thread
 from geograph.tuning import solved_evidence, tune, tune_noise
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from geograph.hypotheses import Hypothesis
@@ -69,6 +71,8 @@ class Smoother:
         The recording made ready.
     settings
         As asked for.
+    guesses
+        First guesses to start from; empty: they are found.
     problem, solution
         The latest.
     resolution
@@ -100,6 +104,7 @@ class Smoother:
 
     prepared: Prepared
     settings: SmoothSettings
+    guesses: Sequence[PathFit] = ()
     problem: Problem = field(init=False)
     solution: Solution = field(init=False)
     resolution: Resolution = field(init=False)
@@ -140,12 +145,7 @@ class Smoother:
         automatic = self.automatic
         loss = Loss("none" if self.robust else settings.loss)
         trial = Loss("cauchy") if self.robust else loss
-        fits = first_fits(
-            self.prepared,
-            static=settings.motion == "static",
-            orbital=settings.motion == "orbital",
-            forces=forces_of(self.prepared.recording, settings),
-        )
+        fits = list(self.guesses) or self._first_fits()
         several = len(fits) > 1
         for fit in fits:
             problem, values = self.start(fit, trial if several or automatic else loss)
@@ -179,6 +179,15 @@ class Smoother:
         self._settle()
         self._compare()
         self.culprits = other_culprits(self)
+
+    def _first_fits(self) -> list[PathFit]:
+        settings = self.settings
+        return first_fits(
+            self.prepared,
+            static=settings.motion == "static",
+            orbital=settings.motion == "orbital",
+            forces=forces_of(self.prepared.recording, settings),
+        )
 
     def _find_resets(self, trial: Loss) -> bool:
         """Find resets before outliers, which the measurements after one would be taken for."""

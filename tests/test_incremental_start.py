@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
+from itertools import pairwise
 
 import feeding
 import numpy as np
 import pytest
 from test_incremental import small_pass
+from test_range_starts import ARRAY, straight, world
 
 import geograph as gg
+import geograph.smoother as smoother_module
 from geograph.errors import told
 from geograph.incremental import remake, start
 from geograph.incremental.start import NotStartedError
@@ -90,3 +94,48 @@ def test_no_reason_is_empty(monkeypatch, error, message):
         smoother.finish()
     assert message in str(caught.value)
     assert np.isfinite(smoother.estimate.state).all()
+
+
+def test_two_mirror_images_wait_cheaply_for_a_height(monkeypatch):
+    """Five receivers in a plane: the path below it fits as well, until a height is known."""
+    flat = ARRAY[:5] * [1.0, 1.0, 0.0]
+    recording = world(flat, straight, sigma=5e-8)
+    recording = dataclasses.replace(
+        recording, settings=gg.SmoothSettings(motion="constant-velocity", process_noise=1.0)
+    )
+    looked = []
+    real = smoother_module.first_fits
+
+    def counted(prepared, **how):
+        looked.append(len(prepared.recording.arrivals))
+        return real(prepared, **how)
+
+    monkeypatch.setattr(smoother_module, "first_fits", counted)
+    smoother = gg.IncrementalSmoother.of(recording)
+    every = list(feeding.parts(recording, every=5))
+    for part in every[:32]:
+        estimate = smoother.update(part)
+    assert estimate.status is gg.Tracking.COLLECTING
+    assert "another path fits too" in estimate.message
+    # First guesses are nearly all of what a try costs: four times the measurements each time.
+    assert all(after >= 4 * before for before, after in pairwise(looked))
+    assert 2 <= len(looked) <= 4
+    tries = len(looked)
+    height = gg.Constraints(
+        time_s=np.array([np.nan]),
+        kind=("altitude_m",),
+        value=np.array([2000.0]),
+        sigma=np.array([500.0]),
+        line=np.array([1]),
+    )
+    estimate = smoother.update(height)
+    assert estimate.status is gg.Tracking.TRACKING
+    assert len(looked) == tries + 1
+    for part in every[32:]:
+        estimate = smoother.update(part)
+    assert estimate.used == len(recording.arrivals)
+    smoother.finish()
+    whole = dataclasses.replace(recording, constraints=height)
+    sigmas, relative = feeding.differences(smoother.track(), gg.smooth(whole))
+    assert sigmas < 0.1
+    assert relative < 0.02

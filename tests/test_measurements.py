@@ -43,7 +43,7 @@ def test_every_column_is_an_array_of_its_type(table):
         if name == "kind":
             continue
         wrong = [column.tolist(), None, column.astype(str), column[:, None]]
-        if column.dtype.kind != "f":
+        if column.dtype.kind != "f" and name != "line":
             wrong.append(column.astype(np.float64))
         for value in wrong:
             expected = rf"^{name} of {table.__name__} is .*; expected a NumPy array of "

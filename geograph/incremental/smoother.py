@@ -242,6 +242,9 @@ class IncrementalSmoother:
         part = {k: c for k, c in rows.items() if k in CONSTRAINTS}
         if not part:
             return rows
+        if state.chain is None and not part.keys() <= state.whole.keys() | state.waiting.keys():
+            # A height, say, may be what a start was missing.
+            state.tried = 0
         chosen = {k: np.isnan(c["time_s"]) for k, c in part.items()}
         if not any(mask.any() for mask in chosen.values()):
             return rows

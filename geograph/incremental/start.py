@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from geograph.errors import InputError
 from geograph.families import Values
@@ -18,6 +19,7 @@ from geograph.motion import Density, Motion
 from geograph.prepare import prepare
 from geograph.problem import Problem
 from geograph.report import make_track
+from geograph.rivals import read_attempt
 from geograph.smoother import Smoother
 from geograph.solver import Status, solve
 from geograph.states import SensorStates
@@ -25,10 +27,13 @@ from geograph.sweep import NotPositiveDefiniteError
 from geograph.time_shift import time_shift
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from geograph.families import Family
     from geograph.incremental.rows import Rows
+    from geograph.initialise import PathFit
     from geograph.knots import Resolution
     from geograph.recording import Recording, SmoothSettings
     from geograph.rivals import Attempt
@@ -44,7 +49,19 @@ _FEWEST_TIMES = 4
 
 
 class NotStartedError(Exception):
-    """The measurements so far do not determine a path; the message says what is missing."""
+    """The measurements so far do not determine a path; the message says what is missing.
+
+    Parameters
+    ----------
+    message
+        What is missing.
+    rivals
+        The paths that fit, where there are several.
+    """
+
+    def __init__(self, message: str, rivals: Sequence[PathFit] = ()) -> None:
+        self.rivals = tuple(rivals)
+        super().__init__(message)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +105,13 @@ def recording_of(template: Recording, rows: Rows, whole: Rows) -> Recording:
 
 
 def begin(
-    template: Recording, settings: SmoothSettings, rows: Rows, whole: Rows, *, strict: bool = True
+    template: Recording,
+    settings: SmoothSettings,
+    rows: Rows,
+    whole: Rows,
+    *,
+    strict: bool = True,
+    guesses: Sequence[PathFit] = (),
 ) -> Started:
     """Return a chain through measurements, from a first guess.
 
@@ -102,6 +125,8 @@ def begin(
         The measurements, and what holds along the whole path.
     strict
         Whether a path that the measurements do not determine is refused.
+    guesses
+        First guesses to start from; empty: they are found.
 
     Raises
     ------
@@ -114,7 +139,7 @@ def begin(
     except InputError as error:
         raise NotStartedError(error.reason) from error
     _enough(recording, settings)
-    smoother = Smoother(prepared, settings)
+    smoother = Smoother(prepared, settings, guesses)
     try:
         # Of a few measurements anything may overflow; what comes of it is judged by its status.
         with np.errstate(all="ignore"):
@@ -124,7 +149,7 @@ def begin(
         raise NotStartedError(f"no first guess yet ({error})") from error
     status = track.status
     if status is not Status.CONVERGED and (strict or smoother.solution.elimination is None):
-        raise NotStartedError(str(track.summary["message"]))
+        raise NotStartedError(str(track.summary["message"]), _paths(smoother))
     out: list[int] = []
     for family, bad in zip(smoother.families, smoother.split(smoother.rejected), strict=True):
         out += family.line[bad].tolist()
@@ -150,6 +175,21 @@ def begin(
     except NotPositiveDefiniteError as error:
         raise NotStartedError(_undetermined(track)) from error
     return Started(model, chain, smoother.attempts, smoother.resolution)
+
+
+def _paths(smoother: Smoother) -> list[PathFit]:
+    """Return the estimate and what other first guesses led to, where there are rivals."""
+    if not smoother.rivals:
+        return []
+    problem, attempts = smoother.problem, smoother.attempts
+    paths = [smoother.solution.values.path]
+    paths += [read_attempt(attempt, problem).path for attempt in attempts[1:]]
+    degree = min(3, problem.knots_s.size - 1)
+    return [
+        replace(attempt.fit, spline=make_interp_spline(problem.knots_s, path[:, :3], k=degree))
+        for attempt, path in zip(attempts, paths, strict=True)
+        if degree > 0
+    ]
 
 
 def _undetermined(track: Track) -> str:
