@@ -48,6 +48,21 @@ class InputError(GeographError, ValueError):
         super().__init__(f"{where}: {self.reason}" if where else self.reason)
 
 
+def told(error: BaseException) -> str:
+    """Return an exception in one line: its type and message, or what its type means.
+
+    Parameters
+    ----------
+    error
+        Any exception; many that Python raises carry no message.
+    """
+    name, message = type(error).__name__, " ".join(str(error).split())
+    if not message:
+        meaning = (type(error).__doc__ or "no reason was given").strip()
+        message = meaning.splitlines()[0].rstrip(".")
+    return f"{name}: {message}"
+
+
 class UpdateError(InputError):
     """An update of an incremental smoother could not be made; the smoother is as it was before.
 

@@ -39,8 +39,8 @@ NEGLIGIBLE = 0.01
 _BYTES_PER_SQUARE = 8 * 6
 _FEWEST_INTERVALS = 4
 
-# Share of the spacing within which times of emission need no knots of their own.
-_CLOSE = 0.1
+CLOSE = 0.1
+"""Share of the spacing within which times of emission need no knots of their own."""
 
 # Knots for fewer than four times, at most.
 _MOST_OF_FEW = 8
@@ -192,7 +192,7 @@ def place_knots(
     count = int(np.ceil((high - low) / spacing_s - 1e-9)) + 1
     distinct = np.unique(times_s)
     if automatic and 4 <= distinct.size < count:
-        knots = _apart(distinct, _CLOSE * spacing_s)
+        knots = _apart(distinct, CLOSE * spacing_s)
         if knots.size >= 4:
             return _without_gaps(knots, longest_s)
     if automatic and distinct.size < 4:
@@ -200,6 +200,24 @@ def place_knots(
         gaps = int(np.ceil((high - low) / longest_s - 1e-9)) + 1
         count = min(count, max(_MOST_OF_FEW, gaps))
     return np.linspace(low, high, max(count, 2))
+
+
+def thinned(
+    knots_s: NDArray[np.float64], spacing_s: float, longest_s: float
+) -> NDArray[np.float64]:
+    """Return knots without those that stand too near to the one before.
+
+    Parameters
+    ----------
+    knots_s
+        Shape (K,), growing, at least two; the first and the last are kept.
+    spacing_s
+        What is near is told by this time between knots.
+    longest_s
+        Longest interval that may stand between two knots.
+    """
+    kept = _apart(knots_s, CLOSE * spacing_s)
+    return _without_gaps(kept if kept.size > 1 else knots_s[[0, -1]], longest_s)
 
 
 def _without_gaps(knots_s: NDArray[np.float64], longest_s: float) -> NDArray[np.float64]:

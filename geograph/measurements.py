@@ -7,7 +7,7 @@ Values are in SI units; ``sensor`` columns are indices into the recording's sens
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -18,6 +18,12 @@ if TYPE_CHECKING:
 
 ConstraintKind = Literal["altitude_m", "height_above_terrain_m", "speed_m_s", "x_m", "y_m", "z_m"]
 """Kinds of ``constraints.csv`` that this version understands."""
+
+# What columns hold whose values are not real numbers, and the codes of NumPy's types for it.
+_HELD = {
+    **dict.fromkeys(("sensor", "reference", "emission"), ("iu", "whole numbers")),
+    "isotropic": ("b", "True or False"),
+}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,7 +49,7 @@ class Bearings:
     Raises
     ------
     InputError
-        If the columns' lengths differ.
+        If a column is no array of its type, or the lengths differ.
     """
 
     time_s: NDArray[np.float64]
@@ -85,7 +91,8 @@ class Arrivals:
     Raises
     ------
     InputError
-        If the columns' lengths differ, or a sigma is not above zero.
+        If a column is no array of its type, the lengths differ, a sigma is not above zero, or an
+        emission has no name where others have one.
     """
 
     emission: NDArray[np.int64]
@@ -98,6 +105,8 @@ class Arrivals:
     def __post_init__(self) -> None:
         _check_lengths(self)
         _check_positive(self, "sigma_s")
+        if self.emission_names:
+            _check_names(self)
 
     def __len__(self) -> int:
         return int(self.toa_s.size)
@@ -131,8 +140,8 @@ class TimeDifferences:
     Raises
     ------
     InputError
-        If the columns' lengths differ, a sigma is not above zero, or the reference's part of it is
-        not below it.
+        If a column is no array of its type, the lengths differ, a sigma is not above zero, or the
+        reference's part of it is not below it.
     """
 
     time_s: NDArray[np.float64]
@@ -177,8 +186,8 @@ class FrequencyDifferences:
     Raises
     ------
     InputError
-        If the columns' lengths differ, a sigma or a carrier is not above zero, or the reference's
-        part of a sigma is not below it.
+        If a column is no array of its type, the lengths differ, a sigma or a carrier is not above
+        zero, or the reference's part of a sigma is not below it.
     """
 
     time_s: NDArray[np.float64]
@@ -224,7 +233,7 @@ class Constraints:
     Raises
     ------
     InputError
-        If the columns' lengths differ.
+        If a column is no array of its type, the lengths differ, or a kind is unknown.
     """
 
     time_s: NDArray[np.float64]
@@ -235,6 +244,13 @@ class Constraints:
 
     def __post_init__(self) -> None:
         _check_lengths(self)
+        known = get_args(ConstraintKind)
+        for row, kind in enumerate(self.kind):
+            if kind not in known:
+                raise InputError(
+                    f"kind of Constraints is {kind!r} in row {row}; expected one of "
+                    f"{', '.join(known)}",
+                )
 
     def __len__(self) -> int:
         return int(self.time_s.size)
@@ -256,7 +272,7 @@ class Truth:
     Raises
     ------
     InputError
-        If the columns' lengths differ.
+        If a column is no array of its type, or the lengths differ.
     """
 
     time_s: NDArray[np.float64]
@@ -271,17 +287,52 @@ class Truth:
 
 
 def _check_lengths(table: Measurements | Constraints | Truth) -> None:
-    lengths = {
-        name: len(column)
-        for name, column in vars(table).items()
-        if column is not None and name != "emission_names"
-    }
+    lengths = {}
+    for name, column in vars(table).items():
+        if name == "emission_names" or (column is None and name == "velocity_m_s"):
+            continue
+        _check_column(table, name, column)
+        lengths[name] = len(column)
     if len(set(lengths.values())) != 1:
         raise InputError(
             f"columns of {type(table).__name__} differ in length ({lengths}); expected one length"
         )
-    if isinstance(table.time_s, np.ndarray) and table.time_s.ndim != 1:
-        raise InputError(f"time_s has shape {table.time_s.shape}; expected one dimension")
+
+
+def _check_column(table: Measurements | Constraints | Truth, name: str, column: object) -> None:
+    """Refuse what is no array of numbers, as is a list, or no sequence of words for kinds."""
+    if name == "kind":
+        if not isinstance(column, tuple | list):
+            raise InputError(
+                f"kind of {type(table).__name__} is {column!r}; expected a tuple of kinds",
+            )
+        return
+    codes, what = _HELD.get(name, ("fiu", "numbers"))
+    dimensions = 2 if isinstance(table, Truth) and name != "time_s" else 1
+    if isinstance(column, np.ndarray) and column.dtype.kind in codes and column.ndim == dimensions:
+        return
+    given = type(column).__name__
+    if isinstance(column, np.ndarray):
+        given = f"an array of {column.dtype} of shape {column.shape}"
+    raise InputError(
+        f"{name} of {type(table).__name__} is {given}; expected a NumPy array of {what} with "
+        f"{'one dimension' if dimensions == 1 else 'shape (n, 3)'}",
+    )
+
+
+def _check_names(table: Arrivals) -> None:
+    """Refuse emissions that have no name, where there are names."""
+    given: object = table.emission_names
+    if not isinstance(given, tuple | list) or not all(isinstance(name, str) for name in given):
+        raise InputError(
+            f"emission_names of Arrivals is {given!r}; expected a tuple of words, or () for none"
+        )
+    if len(table) and not 0 <= table.emission.min() <= table.emission.max() < len(given):
+        raise InputError(
+            f"emissions are numbered {table.emission.min()} to {table.emission.max()} and have "
+            f"{len(given)} names; expected a name for each number from 0 on, or () for none",
+            column="emission_names",
+        )
 
 
 def _check_positive(table: Measurements, name: str) -> None:

@@ -34,6 +34,8 @@ from geograph.tuning import solved_evidence, tune, tune_noise
 from geograph.wrong_sensor import leave_out_wrong_sensor
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from geograph.hypotheses import Hypothesis
@@ -70,6 +72,8 @@ class Smoother:
         The recording made ready.
     settings
         As asked for.
+    guesses
+        First guesses to start from; empty: they are found.
     problem, solution
         The latest.
     resolution
@@ -101,6 +105,7 @@ class Smoother:
 
     prepared: Prepared
     settings: SmoothSettings
+    guesses: Sequence[PathFit] = ()
     problem: Problem = field(init=False)
     solution: Solution = field(init=False)
     resolution: Resolution = field(init=False)
@@ -141,12 +146,7 @@ class Smoother:
         automatic = self.automatic
         loss = Loss("none" if self.robust else settings.loss)
         trial = Loss("cauchy") if self.robust else loss
-        fits = first_fits(
-            self.prepared,
-            static=settings.motion == "static",
-            orbital=settings.motion == "orbital",
-            forces=forces_of(self.prepared.recording, settings),
-        )
+        fits = list(self.guesses) or self._first_fits()
         several = len(fits) > 1
         for fit in fits:
             problem, values = self.start(fit, trial if several or automatic else loss)
@@ -183,6 +183,15 @@ class Smoother:
             self._settle()
         self._compare()
         self.culprits = other_culprits(self)
+
+    def _first_fits(self) -> list[PathFit]:
+        settings = self.settings
+        return first_fits(
+            self.prepared,
+            static=settings.motion == "static",
+            orbital=settings.motion == "orbital",
+            forces=forces_of(self.prepared.recording, settings),
+        )
 
     def _find_resets(self, trial: Loss) -> bool:
         """Find resets before outliers, which the measurements after one would be taken for."""

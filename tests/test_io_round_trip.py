@@ -263,7 +263,6 @@ def test_numbers_of_emissions_become_names(tmp_path: Path, tables: str) -> None:
 @pytest.mark.parametrize(
     ("labels", "expected"),
     [
-        (("a",), "are numbered 0 to 1 and have 1 names"),
         (("a", "a"), "two emissions have the same name"),
         (("a", " a"), "an emission is called ' a'; expected printable text"),
         (("a", ""), "an emission is called ''"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from geograph.errors import GeographError, InputError
+from geograph.errors import GeographError, InputError, told
 from geograph.feed.intake import Batch
 from geograph.feed.output import estimate_line
 
@@ -160,7 +160,7 @@ def _at(row: Row, error: Exception) -> InputError:
         reason, column = error.reason, error.column
     else:
         known = isinstance(error, GeographError)
-        reason = str(error) if known else f"{type(error).__name__}: {error}"
+        reason = str(error) if known else told(error)
         column = None
     return InputError(reason, path=row.place, line=row.line, column=column)
 

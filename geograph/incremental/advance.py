@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from geograph.incremental.remake import let_go, resolve, respan, restart
 from geograph.incremental.review import check, look_over, renew_limits, until_it_stands
 from geograph.incremental.room import assign, emission_times, make_room
 from geograph.incremental.rows import FIXES, choose, count, join
+from geograph.incremental.start import NotStartedError
 from geograph.incremental.state import State, count_rows, mark, recount, with_fixes
 from geograph.robust import plain_limits
 from geograph.states import CLOCK, NO_SENSOR
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from geograph.incremental.rows import Rows
+
+_log = logging.getLogger("geograph.incremental")
 
 # Everything is looked over at the soonest so many knots later.
 _REVIEW_KNOTS = 20
@@ -77,9 +81,7 @@ def advance(state: State, rows: Rows) -> None:
     if not rows:
         return
     count_rows(state, rows)
-    if _due(state):
-        restart(state, rows)
-        state.rebuilt += 1
+    if _due(state) and _begun_again(state, rows):
         return
     every = sorted(time for own in times.values() for time in own.tolist())
     if state.reach_s is not None:
@@ -122,6 +124,18 @@ def _due(state: State) -> bool:
     paced = model.motion.static and model.layout.walks > 0 and state.settings.spacing_s is None
     again = automatic or paced or len(state.attempts) > 1
     return again and state.total >= 2 * state.started_with
+
+
+def _begun_again(state: State, rows: Rows) -> bool:
+    """Make the start again; tell whether there was one, and go on with what is held if not."""
+    try:
+        restart(state, rows)
+    except NotStartedError as error:
+        _log.warning("the start is not made again (%s)", error)
+        state.started_with = state.total
+        return False
+    state.rebuilt += 1
+    return True
 
 
 def _use(state: State, touched: set[int], new: set[int]) -> None:

@@ -36,6 +36,10 @@ _log = logging.getLogger("geograph.incremental")
 # A start is tried again when so many times the measurements of the last attempt are there.
 _PATIENCE = 1.3
 
+# While several paths fit, first guesses are looked for again when there are so many times the
+# measurements of last time; they are nearly all of what a start costs.
+_FRESH = 4.0
+
 
 def collect(state: State, rows: Rows) -> None:
     """Take rows before the start, and try to start.
@@ -53,14 +57,32 @@ def collect(state: State, rows: Rows) -> None:
     if held < max(2, _PATIENCE * state.tried):
         return
     state.tried = held
+    if state.rivals and held < _FRESH * state.guessed and _still_rivals(state):
+        return
+    state.guessed = held
     try:
         started = begin(state.template, state.settings, state.waiting, state.whole)
     except NotStartedError as error:
-        state.message = str(error)
-        _log.debug("not started with %d measurements: %s", held, error)
+        _not_started(state, error)
         return
     _take(state, started)
-    state.waiting = {}
+    state.waiting, state.rivals = {}, ()
+
+
+def _still_rivals(state: State) -> bool:
+    """Tell whether several paths fit still, solved from where they were found last."""
+    try:
+        begin(state.template, state.settings, state.waiting, state.whole, guesses=state.rivals)
+    except NotStartedError as error:
+        if error.rivals:
+            _not_started(state, error)
+            return True
+    return False
+
+
+def _not_started(state: State, error: NotStartedError) -> None:
+    state.message, state.rivals = str(error), error.rivals
+    _log.debug("not started with %d measurements: %s", state.tried, error)
 
 
 def _take(state: State, started: Started) -> None:
@@ -225,7 +247,7 @@ def let_go(state: State, leave: int) -> None:
 def finished(state: State) -> None:
     """Use what waits, and solve for everything once more."""
     if state.chain is None:
-        state.tried = 0
+        state.tried = state.guessed = 0
         collect(state, {})
         return
     model, chain = state.running

@@ -11,6 +11,7 @@ import numpy as np
 from geograph.factors.kinematics import transition
 from geograph.incremental.rows import CONSTRAINTS, FIXES, choose, join, take, time_column
 from geograph.incremental.start import empty_piece
+from geograph.knots import CLOSE
 from geograph.states import CLOCK
 
 if TYPE_CHECKING:
@@ -26,9 +27,6 @@ _ROUNDS = 3
 
 # What was received so many spacings before the newest knot is looked for along the path.
 _OLD = 8.0
-
-# Share of the spacing within which times need no knots of their own, as in a batch.
-_CLOSE = 0.1
 
 _REACH = 8
 
@@ -82,7 +80,8 @@ def make_room(model: Model, chain: Chain, times_s: list[float]) -> set[int]:
     """Put knots where signals were emitted and there are none; return the pieces that changed.
 
     The last knot is moved to the newest emission until its interval has the spacing; then it stays
-    and a new one follows. An interval that is longer, over a gap, is divided where something
+    and a new one follows. One that stands too near to the knot before does not stay, and the
+    interval becomes longer. An interval that is longer, over a gap, is divided where something
     arrives in it after all.
 
     Parameters
@@ -101,41 +100,50 @@ def make_room(model: Model, chain: Chain, times_s: list[float]) -> set[int]:
             continue
         before, after = chain.knots_s[k], chain.knots_s[k + 1]
         near = min(time - before, after - time)
-        if after - before > spacing * (1.0 + 1e-9) and near > _CLOSE * spacing:
+        if after - before > spacing * (1.0 + 1e-9) and near > CLOSE * spacing:
             _divide(model, chain, k, time)
             changed |= {before, time}
     beyond = times_s[bisect_right(times_s, last) :]
     if beyond:
-        changed |= _extend(model, chain, beyond, spacing)
+        changed |= _extend(model, chain, beyond)
     return {bisect_left(chain.knots_s, time) for time in changed}
 
 
-def _extend(model: Model, chain: Chain, times: list[float], spacing: float) -> set[float]:
+def _extend(model: Model, chain: Chain, times: list[float]) -> set[float]:
     """Move the last knot and append others, until the last time is reached."""
     changed: set[float] = set()
     closed = _full(model, chain) or chain.knots_s[-1] <= model.changed_s
     first = 0
     if not closed:
-        first = _within(times, chain.knots_s[-2], spacing, 0)
-        if first:
-            _move_last(model, chain, times[first - 1])
-            changed.add(chain.knots_s[-2])
-    longest = model.motion.longest_step_s
+        base, last = chain.knots_s[-2:]
+        end = _end(model, times, 0, base=base, last=last)
+        if end > last:
+            _move_last(model, chain, end)
+            changed.add(base)
+            first = bisect_right(times, end)
     while first < len(times):
         base = chain.knots_s[-1]
-        end = _within(times, base, spacing, first)
-        time = times[end - 1] if end > first else min(times[first], base + longest)
-        _append(model, chain, time)
+        end = _end(model, times, first, base=base, last=base)
+        _append(model, chain, end)
         changed.add(base)
-        first = bisect_right(times, time)
+        first = bisect_right(times, end)
     return changed
 
 
-def _within(times: list[float], base: float, spacing: float, first: int) -> int:
-    """Return the end of those from ``first`` on that lie within the spacing of a knot."""
-    while first < len(times) and times[first] - base <= spacing:
-        first += 1
-    return first
+def _end(model: Model, times: list[float], first: int, *, base: float, last: float) -> float:
+    """Return where an interval is to end, of which the last time is known so far.
+
+    At the last of the times, from ``first`` on, that lie within the spacing of its base. If that is
+    too near to the base to stay when others follow, at the next one: over so short a time the
+    motion's noise may be less than what rounding leaves of coordinates.
+    """
+    end = first
+    while end < len(times) and times[end] - base <= model.spacing_s:
+        end += 1
+    last = times[end - 1] if end > first else last
+    if end == len(times) or last - base > CLOSE * model.spacing_s:
+        return last
+    return min(times[end], base + model.motion.longest_step_s)
 
 
 def _full(model: Model, chain: Chain) -> bool:

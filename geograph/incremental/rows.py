@@ -182,8 +182,8 @@ def read(
     Raises
     ------
     UpdateError
-        If a value is not finite, a sigma not above zero, a sensor unknown, or something is no
-        table.
+        If a value is not finite, a sigma not above zero, a sensor unknown or its own reference, or
+        something is no table.
     """
     known = (*TABLES.values(), Constraints)
     tables: list[Any]
@@ -260,6 +260,8 @@ def _check(kind: str, columns: Columns, sensors: int) -> None:
         plain = all(c.dtype == (np.int64 if c is named[1] else np.float64) for c in named)
         if plain and compiled.sound_bearings(named[0].size, sensors, *named):
             return
+    if "reference" in columns:
+        _check_references(kind, columns)
     for name, column in columns.items():
         if name in ("line", "isotropic", "emission"):
             continue
@@ -280,3 +282,16 @@ def _check(kind: str, columns: Columns, sensors: int) -> None:
             raise UpdateError(
                 f"{kind}: {name} is {column[row]}; expected {expected}", line=line, column=name
             )
+
+
+def _check_references(kind: str, columns: Columns) -> None:
+    """Refuse differences of a sensor with itself."""
+    own = columns["reference"] == columns["sensor"]
+    if own.any():
+        row = int(np.argmax(own))
+        raise UpdateError(
+            f"{kind}: sensor and reference are both {columns['sensor'][row]}; expected two "
+            "different sensors",
+            line=int(columns["line"][row]),
+            column="reference",
+        )

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from geograph.constants import SPEED_OF_LIGHT_M_S
-from geograph.errors import GeographError, InputError, UpdateError
+from geograph.errors import GeographError, InputError, UpdateError, told
 from geograph.incremental.advance import advance
 from geograph.incremental.estimate import Estimate, Tracking
 from geograph.incremental.model import SpanError
@@ -206,7 +206,7 @@ class IncrementalSmoother:
             raise
         except Exception as error:
             raise UpdateError(
-                f"update failed ({type(error).__name__}: {error}); nothing of it was used: give "
+                f"update failed ({told(error)}); nothing of it was used: give "
                 "its measurements one by one to find the one that is to blame"
             ) from error
 
@@ -242,6 +242,9 @@ class IncrementalSmoother:
         part = {k: c for k, c in rows.items() if k in CONSTRAINTS}
         if not part:
             return rows
+        if state.chain is None and not part.keys() <= state.whole.keys() | state.waiting.keys():
+            # A height, say, may be what a start was missing.
+            state.tried = 0
         chosen = {k: np.isnan(c["time_s"]) for k, c in part.items()}
         if not any(mask.any() for mask in chosen.values()):
             return rows
@@ -267,7 +270,7 @@ class IncrementalSmoother:
                 # A clock moved, and with it the newest emission.
                 reason, reach = str(error), error.high_s
             except (ArithmeticError, np.linalg.LinAlgError) as error:
-                reason = f"{type(error).__name__}: {error}"
+                reason = told(error)
                 break
             else:
                 return attempt
@@ -282,7 +285,7 @@ class IncrementalSmoother:
             try:
                 way(attempt, rows)
             except (ArithmeticError, np.linalg.LinAlgError, NotStartedError) as error:
-                reason = f"{reason}; {type(error).__name__}: {error}"
+                reason = f"{reason}; {told(error)}"
             else:
                 return attempt
         raise UpdateError(
@@ -389,7 +392,9 @@ class IncrementalSmoother:
                 change_noise(state, settings)
                 estimate = self._told(state)
             except ArithmeticError as error:
-                raise UpdateError(f"the process noise could not be changed ({error})") from error
+                raise UpdateError(
+                    f"the process noise could not be changed ({told(error)})"
+                ) from error
         self._commit(state, estimate, (), self._next)
 
     def track(self) -> Track:
@@ -426,7 +431,7 @@ class IncrementalSmoother:
         except GeographError:
             raise
         except Exception as error:
-            raise UpdateError(f"finish failed ({type(error).__name__}: {error})") from error
+            raise UpdateError(f"finish failed ({told(error)})") from error
 
 
 def _message(waiting: int) -> str:

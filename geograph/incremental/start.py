@@ -6,18 +6,20 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from geograph.errors import InputError
 from geograph.families import Values
 from geograph.incremental.chain import Chain, Piece
 from geograph.incremental.model import Model
 from geograph.incremental.rows import CONSTRAINTS, FIXES, TABLES, join, numbered, numbered_table
-from geograph.knots import NEGLIGIBLE, automatic_spacing, ignored_share
+from geograph.knots import NEGLIGIBLE, automatic_spacing, ignored_share, thinned
 from geograph.measurements import Constraints
 from geograph.motion import Density, Motion
 from geograph.prepare import prepare
 from geograph.problem import Problem
 from geograph.report import make_track
+from geograph.rivals import read_attempt
 from geograph.smoother import Smoother
 from geograph.solver import Status, solve
 from geograph.states import SensorStates
@@ -25,13 +27,17 @@ from geograph.sweep import NotPositiveDefiniteError
 from geograph.time_shift import time_shift
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from geograph.families import Family
     from geograph.incremental.rows import Rows
+    from geograph.initialise import PathFit
     from geograph.knots import Resolution
     from geograph.recording import Recording, SmoothSettings
     from geograph.rivals import Attempt
+    from geograph.track import Track
 
 
 # Predicted decrease of the cost that a solve may leave: 0.03 posterior sigmas from the minimum.
@@ -43,7 +49,19 @@ _FEWEST_TIMES = 4
 
 
 class NotStartedError(Exception):
-    """The measurements so far do not determine a path; the message says what is missing."""
+    """The measurements so far do not determine a path; the message says what is missing.
+
+    Parameters
+    ----------
+    message
+        What is missing.
+    rivals
+        The paths that fit, where there are several.
+    """
+
+    def __init__(self, message: str, rivals: Sequence[PathFit] = ()) -> None:
+        self.rivals = tuple(rivals)
+        super().__init__(message)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +105,13 @@ def recording_of(template: Recording, rows: Rows, whole: Rows) -> Recording:
 
 
 def begin(
-    template: Recording, settings: SmoothSettings, rows: Rows, whole: Rows, *, strict: bool = True
+    template: Recording,
+    settings: SmoothSettings,
+    rows: Rows,
+    whole: Rows,
+    *,
+    strict: bool = True,
+    guesses: Sequence[PathFit] = (),
 ) -> Started:
     """Return a chain through measurements, from a first guess.
 
@@ -101,6 +125,8 @@ def begin(
         The measurements, and what holds along the whole path.
     strict
         Whether a path that the measurements do not determine is refused.
+    guesses
+        First guesses to start from; empty: they are found.
 
     Raises
     ------
@@ -113,7 +139,7 @@ def begin(
     except InputError as error:
         raise NotStartedError(error.reason) from error
     _enough(recording, settings)
-    smoother = Smoother(prepared, settings)
+    smoother = Smoother(prepared, settings, guesses)
     try:
         # Of a few measurements anything may overflow; what comes of it is judged by its status.
         with np.errstate(all="ignore"):
@@ -123,7 +149,7 @@ def begin(
         raise NotStartedError(f"no first guess yet ({error})") from error
     status = track.status
     if status is not Status.CONVERGED and (strict or smoother.solution.elimination is None):
-        raise NotStartedError(str(track.summary["message"]))
+        raise NotStartedError(str(track.summary["message"]), _paths(smoother))
     out: list[int] = []
     for family, bad in zip(smoother.families, smoother.split(smoother.rejected), strict=True):
         out += family.line[bad].tolist()
@@ -144,8 +170,37 @@ def begin(
         knots = np.array([times.min(), max(times.max(), times.min() + 1e-3)])
         values = Values(np.repeat(values.path, 2, axis=0), np.zeros((2, 0)), values.constants)
     fixes = fixes_between(model, *recording.time_span_s)
-    chain = make_chain(model, knots, values, join([rows, fixes]) if fixes else rows)
+    try:
+        chain = make_chain(model, knots, values, join([rows, fixes]) if fixes else rows)
+    except NotPositiveDefiniteError as error:
+        raise NotStartedError(_undetermined(track)) from error
     return Started(model, chain, smoother.attempts, smoother.resolution)
+
+
+def _paths(smoother: Smoother) -> list[PathFit]:
+    """Return the estimate and what other first guesses led to, where there are rivals."""
+    if not smoother.rivals:
+        return []
+    problem, attempts = smoother.problem, smoother.attempts
+    paths = [smoother.solution.values.path]
+    paths += [read_attempt(attempt, problem).path for attempt in attempts[1:]]
+    degree = min(3, problem.knots_s.size - 1)
+    return [
+        replace(attempt.fit, spline=make_interp_spline(problem.knots_s, path[:, :3], k=degree))
+        for attempt, path in zip(attempts, paths, strict=True)
+        if degree > 0
+    ]
+
+
+def _undetermined(track: Track) -> str:
+    """Say what a path leaves open that a batch just determines, and a feed does not."""
+    weak = [str(sentence) for sentence in track.summary["weakly_observed"]]
+    sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(track.position_covariance_m2)[:, -1])))
+    what = "; ".join(weak) or f"the 1-sigma of a position is up to {sigma:.3g} m"
+    return (
+        f"the measurements so far determine the path to no working precision ({what}); more of "
+        "them, another sensor or a constraint on the height would"
+    )
 
 
 def _enough(recording: Recording, settings: SmoothSettings) -> None:
@@ -400,7 +455,10 @@ def _at_minimum(problem: Problem, values: Values) -> bool:
 def stretched(
     model: Model, chain: Chain, low_s: float, high_s: float
 ) -> tuple[NDArray[np.float64], Values]:
-    """Return knots that reach from ``low_s`` to ``high_s``, and the estimate carried on to them."""
+    """Return knots that reach from ``low_s`` to ``high_s``, and the estimate carried on to them.
+
+    Without those that are too near to one another, as the newest may be to the one before.
+    """
     held = np.array(chain.knots_s)
     values = chain.values(0, held.size - 1)
     if model.motion.static:
@@ -414,6 +472,8 @@ def stretched(
         count = max(int(np.ceil((high_s - held[-1]) / model.spacing_s)), 1)
         parts.append(np.linspace(held[-1], high_s, count + 1)[1:])
     knots = np.concatenate(parts)
+    if not model.motion.static:
+        knots = thinned(knots, model.spacing_s, model.motion.longest_step_s)
     path = model.motion.read(model.motion.path(held), values.path, knots)
     chains = [np.interp(knots, held, column) for column in values.walks.T]
     walks = np.stack(chains, axis=1) if chains else np.zeros((knots.size, 0))

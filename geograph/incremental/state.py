@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from geograph.incremental.curvature import Limits
     from geograph.incremental.model import Model
     from geograph.incremental.rows import Columns, Rows
+    from geograph.initialise import PathFit
     from geograph.knots import Resolution
     from geograph.recording import Recording, SmoothSettings
     from geograph.rivals import Attempt
@@ -45,6 +46,9 @@ class State:
         When to linearise again, and whether that is to be found anew.
     attempts, resolution
         Of the last start.
+    rivals, guessed
+        The paths that fit where there are several, and the measurements there were when first
+        guesses were last looked for.
     out, names
         Rows that do not count, by their numbers: whether they have been judged, and their names.
     dropped
@@ -62,6 +66,8 @@ class State:
     limits: Limits | None = None
     attempts: list[Attempt] = field(default_factory=list)
     resolution: Resolution | None = None
+    rivals: tuple[PathFit, ...] = ()
+    guessed: int = 0
     tried: int = 0
     message: str = "no measurement yet"
     first_tag_s: float = np.inf

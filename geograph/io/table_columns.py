@@ -96,13 +96,6 @@ def _path_columns(time_s: NDArray[np.float64], position_m: NDArray[np.float64]) 
 def _arrival_columns(arrivals: Arrivals, names: tuple[str, ...], target: Path) -> Columns:
     numbers, labels = np.unique(arrivals.emission), arrivals.emission_names
     if labels:
-        if numbers[0] < 0 or numbers[-1] >= len(labels):
-            raise InputError(
-                f"emissions are numbered {numbers[0]} to {numbers[-1]} and have {len(labels)} "
-                "names; expected a name for each",
-                path=target,
-                column="emission",
-            )
         used = [labels[number] for number in numbers]
         for label in used:
             if not valid_label(label):
