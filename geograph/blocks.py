@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import blas
@@ -254,14 +254,7 @@ class BlockSum:
             flat(by_path),
             flat(weights),
             self._knots_scale[0],
-            indices(found.constant_row),
-            indices(found.constant_column),
-            flat(found.by_constants),
-            indices(found.walk_row),
-            indices(found.walk_column),
-            flat(found.walk_before),
-            flat(found.walk_after),
-            flat(found.by_walks),
+            *_of_errors(found),
             flat(root_weight),
         )
 
@@ -291,14 +284,7 @@ class BlockSum:
             indices(found.interval),
             *map(flat, factors),
             self._knots_scale[0],
-            indices(found.constant_row),
-            indices(found.constant_column),
-            flat(found.by_constants),
-            indices(found.walk_row),
-            indices(found.walk_column),
-            flat(found.walk_before),
-            flat(found.walk_after),
-            flat(found.by_walks),
+            *_of_errors(found),
             flat(root_weight),
             indices(start),
             held,
@@ -392,3 +378,17 @@ def _bounds(count: int, held: int, group: NDArray[np.int64] | None) -> Iterator[
             high = int(before[-1]) if before.size else int(after[0]) if after.size else count
         yield low, high
         low = high
+
+
+def _of_errors(found: Evaluation) -> tuple[Any, ...]:
+    """Return derivatives by the sensors' errors as compiled code takes them."""
+    return (
+        indices(found.constant_row),
+        indices(found.constant_column),
+        flat(found.by_constants),
+        indices(found.walk_row),
+        indices(found.walk_column),
+        flat(found.walk_before),
+        flat(found.walk_after),
+        flat(found.by_walks),
+    )

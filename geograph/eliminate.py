@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import lapack
@@ -25,10 +25,8 @@ from geograph.sweep import (
     Ends,
     Marginals,
     NotPositiveDefiniteError,
-    Sweep,
     chain_marginals,
     substitute,
-    sweep,
 )
 
 if TYPE_CHECKING:
@@ -229,16 +227,21 @@ class Elimination(Factorisation):
         other.reshape(-1)[:: constants.size + 2] = 1.0
         other[:-1, -1] = other[-1, :-1] = constants
         self._half_log = self._square = 0.0
-        self._swept: Sweep | Ends | None = None
+        self._ends: Ends | None = None
         if system.knots > 1:
-            found = self._swept = self._sweep(knot, noise)
-            last, share = (
-                (found.knot, found.share)
-                if isinstance(found, Ends)
-                else (found.knots[0], found.shares[0])
+            ends = self._ends = Ends(
+                knot,
+                blocks=system.blocks,
+                inverse_transition=self._a,
+                noise_root=system.noise_root,
+                noise_residual=system.noise_residual,
+                damping=damping,
+                noise=noise,
             )
-            knot, other = last, other + share
-            self._half_log, self._square = found.half_log, found.square
+            knot, other = ends.knot, other + ends.share
+            self._half_log, self._square = ends.half_log, ends.square
+            if noise:
+                self.inverse_roots, self.gain = ends.inverse_roots, ends.gain
         else:
             knot = knot + system.blocks.knots[0]
             others = system.blocks.others
@@ -254,37 +257,19 @@ class Elimination(Factorisation):
         self._final_root = root
         self._final_gradient = np.concatenate([knot[:, -1], other[:-1, -1]])
 
-    def _sweep(self, knot: NDArray[np.float64], noise: bool) -> Sweep | Ends:
-        system = self.system
-        given: dict[str, Any] = {
-            "blocks": system.blocks,
-            "inverse_transition": self._a,
-            "noise_root": system.noise_root,
-            "noise_residual": system.noise_residual,
-            "damping": self.damping,
-        }
-        if not noise:
-            return Ends(knot, **given)
-        found = sweep(knot, **given, ends=True, noise=True)
-        self.inverse_roots, self.gain = found.inverse_roots, found.gain
-        return found
-
     @property
     def turned_back(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """``back`` and ``spread``."""
-        if self._swept is None:
+        if self._ends is None:
             d = self.system.knot_size
             return np.empty((0, d, self._final_root.shape[0] + 1)), np.empty((0, d, d))
-        if isinstance(self._swept, Ends):
-            return self._swept.turned_back
-        return self._swept.back, self._swept.spread
+        return self._ends.turned_back
 
     def _substituted(
         self, last: NDArray[np.float64], constants: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        if isinstance(self._swept, Ends):
-            return self._swept.substitute(last, constants)
-        return super()._substituted(last, constants)
+        assert self._ends is not None
+        return self._ends.substitute(last, constants)
 
     def _decrease(self, knots: NDArray[np.float64], constants: NDArray[np.float64]) -> float:
         # With the damped information H, -gradient.step = gradient' H^-1 gradient is the sum of the

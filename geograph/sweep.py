@@ -200,7 +200,7 @@ class Ends:
 
     Parameters
     ----------
-    knot, blocks, inverse_transition, noise_root, noise_residual, damping
+    knot, blocks, inverse_transition, noise_root, noise_residual, damping, noise
         As of :func:`sweep`.
 
     Attributes
@@ -211,12 +211,17 @@ class Ends:
         Shape (s + 1, s + 1): what all intervals add to the rows of (constants, gradient).
     half_log, square
         As of :class:`Sweep`.
+    inverse_roots, gain
+        As of :class:`Sweep`, where the noise was asked for.
 
     Raises
     ------
     NotPositiveDefiniteError
         If the information of a noise is not positive definite.
     """
+
+    inverse_roots: NDArray[np.float64]
+    gain: NDArray[np.float64]
 
     def __init__(
         self,
@@ -227,10 +232,12 @@ class Ends:
         noise_root: NDArray[np.float64],
         noise_residual: NDArray[np.float64],
         damping: float = 0.0,
+        noise: bool = False,
     ) -> None:
         given = inverse_transition, noise_root, noise_residual
         self._by = inverse_transition, noise_root
-        if compiled is not None:
+        self._later = compiled is not None and not noise
+        if self._later:
             found = _compiled_sweep(knot, blocks, given, damping=damping, ends=True, kept=_LATER)
         else:
             found = sweep(
@@ -241,16 +248,19 @@ class Ends:
                 noise_residual=noise_residual,
                 damping=damping,
                 ends=True,
+                noise=noise,
             )
         self.knot, self.share = found.knots[0], found.shares[0]
         self.half_log, self.square = found.half_log, found.square
+        if noise:
+            self.inverse_roots, self.gain = found.inverse_roots, found.gain
         self._found = found
 
     @property
     def turned_back(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """``back`` and ``spread`` of :class:`Sweep`."""
         found = self._found
-        if found.gain.size:
+        if self._later:
             count, d, width = found.gain.shape
             back, spread = np.empty((count, d, width)), np.empty((count, d, d))
             arrays = map(flat, (*self._by, found.inverse_roots, found.gain))
@@ -258,7 +268,7 @@ class Ends:
             # What they were made of goes: it is as large as they are.
             none = found.inverse_roots[:0].copy(), found.gain[:0].copy()
             found = replace(found, back=back, spread=spread, inverse_roots=none[0], gain=none[1])
-            self._found = found
+            self._found, self._later = found, False
         return found.back, found.spread
 
     def substitute(
@@ -266,7 +276,7 @@ class Ends:
     ) -> NDArray[np.float64]:
         """Return the increments of all knots; see :func:`substitute`."""
         found = self._found
-        if not found.gain.size:
+        if not self._later:
             return substitute(found.back, last, constants)
         count, d, width = found.gain.shape
         knots = np.empty((count + 1, d))
